@@ -1,0 +1,39 @@
+# make alone lists the targets.
+.DEFAULT_GOAL := help
+SHELL := /bin/bash
+.PHONY: help install demo test long-tests lint clean
+
+PYTHON := .venv/bin/python
+RANKS := 2
+# Open MPI counts cores, not hardware threads, and refuses root unless told.
+CORES := $(shell lscpu -p=CORE,SOCKET | grep -v '^\#' | sort -u | wc -l)
+MPIRUN := mpirun -n $(RANKS) --bind-to none \
+	$(if $(filter 0,$(shell id -u)),--allow-run-as-root) \
+	$(if $(shell [ $(CORES) -lt $(RANKS) ] && echo few),--oversubscribe)
+
+help:  ## this list
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-12s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+
+install:  ## install what is missing (system packages, then .venv); says what before it does
+	@scripts/install.sh
+
+demo: install  ## a two-minute clustering run on 2 ranks and its contour plots, in runs/demo
+	$(MPIRUN) .venv/bin/rvm run jobs/demo.toml --output runs/demo --overwrite
+	$(PYTHON) postprocess/contours.py runs/demo
+	@echo "The pictures:" && ls -1 runs/demo/figures/*.png
+
+test: lint  ## lint and the test suite, except what takes minutes; 1, 2 and 4 ranks where ranks matter
+	$(PYTHON) -m pytest -m "not long"
+
+long-tests:  ## the tests that take minutes or more
+	@scripts/install.sh test
+	$(PYTHON) -m pytest -m long
+
+lint:  ## ruff and mypy
+	@scripts/install.sh test
+	$(PYTHON) -m ruff check .
+	$(PYTHON) -m mypy
+
+clean:  ## remove caches and build leftovers; keeps runs/ and .venv
+	rm -rf build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis .install.log *.egg-info
+	find . -name __pycache__ -not -path './.venv/*' -not -path './runs/*' -prune -exec rm -rf {} +

@@ -1,0 +1,76 @@
+#!/bin/bash
+# Installs what rvm_mpi needs on Debian or Ubuntu, and says what before it does.
+#
+#   scripts/install.sh         to run
+#   scripts/install.sh test    to run, test and lint
+#
+# System packages come first (everything compiled against MPI or numpy), then .venv, made with the
+# system's own Python so that it sees them. Does nothing, at once, where all is there.
+set -euo pipefail
+cd "$(dirname "$0")/.."
+unset PYTHONPATH PYTHONHOME VIRTUAL_ENV
+
+purpose=${1:-run}
+root=$PWD
+python=/usr/bin/python3
+log=$root/.install.log
+packages=(openmpi-bin python3-mpi4py python3-petsc4py python3-h5py-mpi python3-numpy python3-scipy
+    python3-numba python3-pyfftw python3-xarray python3-matplotlib python3-venv)
+extras=
+if [ "$purpose" = test ]; then
+    packages+=(shellcheck)
+    extras="[test,dev]"
+fi
+
+say() { printf 'rvm_mpi: %s\n' "$*"; }
+fail() { printf 'rvm_mpi: %s\n' "$*" >&2; exit 1; }
+failed_log() { tail -n 15 "$log" >&2; fail "$* (above: the end of ${log#"$root"/})"; }
+
+# The stamp holds everything the installation depends on; the same stamp means nothing to do.
+stamp=$root/.venv/.installed-$purpose
+fingerprint() {
+    printf '%s\n' "$root" "$purpose" "$(readlink -f "$python")"
+    sha256sum pyproject.toml scripts/install.sh scripts/venv_setup.py
+}
+[ -f "$stamp" ] && [ "$(fingerprint)" = "$(cat "$stamp")" ] && exit 0
+
+command -v dpkg-query >/dev/null || fail "not Debian or Ubuntu: docs/install.md says how to install elsewhere"
+
+missing=()
+for package in "${packages[@]}"; do
+    status=$(dpkg-query -W -f '${db:Status-Status}' "$package" 2>/dev/null || true)
+    [ "$status" = installed ] || missing+=("$package")
+done
+if [ ${#missing[@]} -gt 0 ]; then
+    ask="missing system packages and no root or sudo here; ask for: apt-get install ${missing[*]}"
+    if [ "$(id -u)" = 0 ]; then
+        sudo=()
+    elif command -v sudo >/dev/null && { sudo -n true 2>/dev/null || [ -t 0 ]; }; then
+        sudo=(sudo)
+    else
+        fail "$ask"
+    fi
+    say "installing with ${sudo[*]} apt-get: ${missing[*]}"
+    if [ ${#sudo[@]} -gt 0 ]; then "${sudo[@]}" -v || fail "$ask"; fi
+    apt=("${sudo[@]}" env DEBIAN_FRONTEND=noninteractive apt-get -qq)
+    "${apt[@]}" update >"$log" 2>&1 || say "apt-get update failed; going on with the lists at hand"
+    "${apt[@]}" install -y --no-install-recommends "${missing[@]}" >>"$log" 2>&1 </dev/null ||
+        failed_log "apt-get install failed for: ${missing[*]}"
+fi
+
+"$python" -c 'import sys; sys.exit(sys.version_info < (3, 10))' || fail "$python is older than 3.10"
+wanted="home = /usr/bin
+include-system-site-packages = true"
+if [ "$(grep -E '^(home|include-system)' .venv/pyvenv.cfg 2>/dev/null)" != "$wanted" ] ||
+    ! .venv/bin/python -c '' 2>/dev/null; then
+    say "making .venv with $python"
+    "$python" -m venv --clear --system-site-packages .venv >"$log" 2>&1 || failed_log "could not make .venv"
+fi
+.venv/bin/python scripts/venv_setup.py prepare || fail "could not prepare .venv"
+say "installing with pip into .venv: rvm_mpi$extras and what it needs beyond the system's packages"
+.venv/bin/python -m pip install --disable-pip-version-check --constraint .venv/constraints.txt \
+    --editable ".$extras" >"$log" 2>&1 || failed_log "pip install failed"
+.venv/bin/python scripts/venv_setup.py check || fail "the installation does not work"
+
+fingerprint >"$stamp"
+say "installed: .venv/bin/rvm"
