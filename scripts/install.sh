@@ -36,24 +36,35 @@ fingerprint() {
 
 command -v dpkg-query >/dev/null || fail "not Debian or Ubuntu: docs/install.md says how to install elsewhere"
 
-missing=()
-for package in "${packages[@]}"; do
-    status=$(dpkg-query -W -f '${db:Status-Status}' "$package" 2>/dev/null || true)
-    [ "$status" = installed ] || missing+=("$package")
-done
+# What is not there yet; numba and pyfftw, which some releases do not have, then come from pip.
+in_lists() { apt-cache policy "$1" 2>/dev/null | grep -q 'Candidate: [^(]'; }
+look() {
+    missing=()
+    from_pip=()
+    local package
+    for package in "${packages[@]}"; do
+        if [ "$(dpkg-query -W -f '${db:Status-Status}' "$package" 2>/dev/null)" = installed ]; then
+            continue
+        elif [[ $package =~ ^python3-(numba|pyfftw)$ ]] && ! in_lists "$package" && in_lists python3-numpy; then
+            from_pip+=("${package#python3-}")
+        else
+            missing+=("$package")
+        fi
+    done
+}
+
+look
 if [ ${#missing[@]} -gt 0 ]; then
-    ask="missing system packages and no root or sudo here; ask for: apt-get install ${missing[*]}"
-    if [ "$(id -u)" = 0 ]; then
-        sudo=()
-    elif command -v sudo >/dev/null && { sudo -n true 2>/dev/null || [ -t 0 ]; }; then
+    sudo=()
+    if [ "$(id -u)" != 0 ]; then
+        { command -v sudo >/dev/null && { sudo -n true 2>/dev/null || { [ -t 0 ] && sudo -v; }; }; } ||
+            fail "missing system packages and no root or sudo here; ask for: apt-get install ${missing[*]}"
         sudo=(sudo)
-    else
-        fail "$ask"
     fi
-    say "installing with ${sudo[*]} apt-get: ${missing[*]}"
-    if [ ${#sudo[@]} -gt 0 ]; then "${sudo[@]}" -v || fail "$ask"; fi
     apt=("${sudo[@]}" env DEBIAN_FRONTEND=noninteractive apt-get -qq)
     "${apt[@]}" update >"$log" 2>&1 || say "apt-get update failed; going on with the lists at hand"
+    look
+    say "installing with ${sudo:+sudo }apt-get (a minute or two): ${missing[*]}"
     "${apt[@]}" install -y --no-install-recommends "${missing[@]}" >>"$log" 2>&1 </dev/null ||
         failed_log "apt-get install failed for: ${missing[*]}"
 fi
@@ -67,9 +78,9 @@ if [ "$(grep -E '^(home|include-system)' .venv/pyvenv.cfg 2>/dev/null)" != "$wan
     "$python" -m venv --clear --system-site-packages .venv >"$log" 2>&1 || failed_log "could not make .venv"
 fi
 .venv/bin/python scripts/venv_setup.py prepare || fail "could not prepare .venv"
-say "installing with pip into .venv: rvm_mpi$extras and what it needs beyond the system's packages"
+say "installing with pip into .venv: rvm_mpi$extras and its dependencies${from_pip[*]:+, ${from_pip[*]}}"
 .venv/bin/python -m pip install --disable-pip-version-check --constraint .venv/constraints.txt \
-    --editable ".$extras" >"$log" 2>&1 || failed_log "pip install failed"
+    --editable ".$extras" "${from_pip[@]}" >"$log" 2>&1 || failed_log "pip install failed"
 .venv/bin/python scripts/venv_setup.py check || fail "the installation does not work"
 
 fingerprint >"$stamp"

@@ -7,26 +7,26 @@ check     imports them all, each from the system, and says what is wrong in one 
 
 import importlib
 import importlib.metadata
-import os
 import re
-import subprocess
 import sys
 import sysconfig
 from pathlib import Path
 
-SYSTEM = ["numpy", "scipy", "numba", "llvmlite", "mpi4py", "petsc4py", "h5py", "pyfftw", "xarray", "pandas", "matplotlib"]
+SYSTEM = ["numpy", "scipy", "mpi4py", "petsc4py", "h5py", "xarray", "pandas", "matplotlib"]
+SYSTEM_OR_PIP = ["numba", "llvmlite", "pyfftw"]  # not in every release of Debian and Ubuntu
 
-# One line, as .pth files demand. Debian keeps petsc4py outside Python's path, beside its PETSc; its h5py
-# loads the serial build unless told. User packages (~/.local) would come before the system's: left out.
+# Debian keeps petsc4py outside Python's path, beside its PETSc; its h5py loads the serial build unless told;
+# packages in ~/.local would come before the system's.
 PTH = """\
-import os, site; site.ENABLE_USER_SITE = False; os.environ.setdefault("H5PY_ALWAYS_USE_MPI", "1")
-import os; os.path.isdir(os.environ.get("PETSC_DIR", "") + "/lib/python3/dist-packages/petsc4py") or os.environ.update(PETSC_DIR={petsc_dir!r})
-import os, sys; sys.path.append(os.environ["PETSC_DIR"] + "/lib/python3/dist-packages")
+import site; site.ENABLE_USER_SITE = False
+import os; os.environ.setdefault("H5PY_ALWAYS_USE_MPI", "1")
+import os; os.environ["PETSC_DIR"] = {petsc_dir!r}
+{petsc_dir}/lib/python3/dist-packages
 """
 
 
 def petsc_dir() -> str:
-    """Return the newest of the system's PETSc builds for real numbers and 32-bit indices that has petsc4py."""
+    """Return the newest of the system's PETSc builds (real numbers, 32-bit indices) with petsc4py."""
 
     def version(path: Path) -> list[int]:
         return [int(number) for number in re.findall(r"\d+", path.parent.name)]
@@ -50,7 +50,7 @@ def prepare() -> None:
     temporary.replace(pth)
 
     system = [path for path in sys.path if "dist-packages" in path]
-    names = {name.lower() for name in SYSTEM}
+    names = {*SYSTEM, *SYSTEM_OR_PIP}
     held = {
         f"{name}=={distribution.version}"
         for distribution in importlib.metadata.distributions(path=system)
@@ -62,17 +62,15 @@ def prepare() -> None:
 def check() -> None:
     """Import every compiled library as a run would, and the MPI build of h5py."""
     wrong = []
-    for name in SYSTEM:
-        if name == "petsc4py":
-            name = "petsc4py.PETSc"
+    for name in [*SYSTEM, *SYSTEM_OR_PIP]:
         try:
-            module = importlib.import_module(name)
+            module = importlib.import_module("petsc4py.PETSc" if name == "petsc4py" else name)
         except Exception as error:  # a library built for another numpy raises whatever it likes
             wrong.append(f"{name}: {error}")
             continue
-        path = str(module.__file__)
-        if not path.startswith("/usr/lib/"):
-            wrong.append(f"{name} is {path}, not the system's")
+        homes = ["/usr/lib/", *([sys.prefix] if name in SYSTEM_OR_PIP else [])]
+        if not str(module.__file__).startswith(tuple(homes)):
+            wrong.append(f"{name} is {module.__file__}, not the system's")
     if "h5py" in sys.modules and not sys.modules["h5py"].get_config().mpi:
         wrong.append("h5py is the serial build, not python3-h5py-mpi's")
     if wrong:
