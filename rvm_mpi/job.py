@@ -1,8 +1,8 @@
 """The job file: read, checked, every default written out.
 
 A job passes two gates: the models of `rvm_mpi.job_schema` say, table by table, which keys there are, their
-types and ranges; `rvm_mpi.job_checks.resolve` checks what depends on several keys and writes the defaults out,
-so that a `Job` leaves nothing open. Whatever is wrong becomes one line, a `JobError`.
+types and ranges; `rvm_mpi.job_checks.resolve` checks what depends on several keys and writes the defaults
+out, so that a `Job` leaves nothing open. Whatever is wrong becomes one line, a `JobError`.
 """
 
 from __future__ import annotations
@@ -112,12 +112,19 @@ def _keys(job: Job) -> dict[str, Any]:
 
 
 def _lists_in_one_line(toml: str) -> str:
-    """``[64, 64]`` instead of a line for each number; strings are left alone, they hold no line breaks."""
-    broken = re.compile(r"\[\n\s*([^\"\n]+(?:\n[^\"\n]+)*?),\n\s*\]")
-    while match := broken.search(toml):
-        items = " ".join(line.strip() for line in match[1].split("\n"))
-        toml = f"{toml[: match.start()]}[{items}]{toml[match.end() :]}"
-    return toml
+    """``[64, 64]`` instead of a line for each number; a job has no lists of strings, so brackets are lists."""
+    out, pending = [], ""
+    for line in toml.split("\n"):
+        if not pending and not line.endswith("["):
+            out.append(line)
+            continue
+        pending += line.strip()
+        if pending.endswith(","):
+            pending += " "
+        elif not pending.endswith("["):
+            out.append(pending.replace(", ]", "]"))
+            pending = ""
+    return "\n".join(out)
 
 
 def _validated(tables: Mapping[str, Any], name: str, overrides: Iterable[str]) -> Job:
