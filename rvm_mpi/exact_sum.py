@@ -1,8 +1,9 @@
 """Sums over cells and ranks that do not depend on their order.
 
-A float64 is an integer times 2^-1074. Each sum is kept as one long integer in limbs of 32 bits (a superaccumulator):
-integer additions are associative, so the result is the same for every split of the cells over ranks, and the one
-rounding at the end makes it the correctly rounded exact sum, as `math.fsum` gives for one process.
+A float64 is an integer times 2^-1074. Each sum is kept as one long integer in limbs of 32 bits (a
+superaccumulator): integer additions are associative, so the result is the same for every split of the cells
+over ranks, and the one rounding at the end makes it the correctly rounded exact sum, as `math.fsum` gives
+for one process.
 """
 
 from __future__ import annotations
@@ -78,9 +79,9 @@ def exact_sums(arrays: np.ndarray | Sequence[np.ndarray], comm: MPI.Comm | None 
 
     Parameters
     ----------
-    arrays : ndarray (cells, quantities), summed over its first axis, or a sequence of arrays of any shapes, each
-        summed over all its entries. This rank's share (possibly empty); converted to float64.
-    comm : MPI communicator, or None for this process alone. One Allreduce of int64 for all quantities.
+    arrays : this rank's share, possibly empty: an ndarray (cells, quantities), summed over its first axis,
+        or a sequence of arrays of any shapes, each summed over all its entries; converted to float64
+    comm : MPI communicator, or None for this process alone; one Allreduce of int64 for all quantities
 
     Returns
     -------
@@ -92,7 +93,7 @@ def exact_sums(arrays: np.ndarray | Sequence[np.ndarray], comm: MPI.Comm | None 
     """
     if isinstance(arrays, np.ndarray):
         if arrays.ndim != 2:
-            raise ValueError(f"exact_sums needs an array (cells, quantities) or a sequence of arrays, not {arrays.shape}")
+            raise ValueError(f"an array to sum must be (cells, quantities), not of shape {arrays.shape}")
         columns = [arrays]
         quantities = arrays.shape[1]
     else:
