@@ -14,7 +14,7 @@ purpose=${1:-run}
 root=$PWD
 python=/usr/bin/python3
 log=$root/.install.log
-packages=(openmpi-bin python3-mpi4py python3-petsc4py python3-h5py-mpi python3-numpy python3-scipy
+packages=(openmpi-bin python3-mpi4py python3-petsc4py python3-h5py python3-h5py-mpi python3-numpy python3-scipy
     python3-numba python3-pyfftw python3-xarray python3-matplotlib python3-venv)
 extras=
 if [ "$purpose" = test ]; then
