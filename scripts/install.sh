@@ -37,7 +37,7 @@ fingerprint() {
 command -v dpkg-query >/dev/null || fail "not Debian or Ubuntu: docs/install.md says how to install elsewhere"
 
 # What is not there yet; numba and pyfftw, which some releases do not have, then come from pip.
-in_lists() { apt-cache policy "$1" 2>/dev/null | grep -q 'Candidate: [^(]'; }
+in_lists() { [[ $(apt-cache policy "$1" 2>/dev/null) =~ Candidate:\ [^\(] ]]; }
 look() {
     missing=()
     from_pip=()
@@ -79,8 +79,9 @@ if [ "$(grep -E '^(home|include-system)' .venv/pyvenv.cfg 2>/dev/null)" != "$wan
 fi
 .venv/bin/python scripts/venv_setup.py prepare || fail "could not prepare .venv"
 say "installing with pip into .venv: rvm_mpi$extras and its dependencies${from_pip[*]:+, ${from_pip[*]}}"
-.venv/bin/python -m pip install --disable-pip-version-check --constraint .venv/constraints.txt \
-    --editable ".$extras" "${from_pip[@]}" >"$log" 2>&1 || failed_log "pip install failed"
+pip=(.venv/bin/python -m pip install --disable-pip-version-check --constraint .venv/constraints.txt)
+"${pip[@]}" 'pip>=23' >"$log" 2>&1 || failed_log "pip could not update itself"  # older ones do not isolate builds
+"${pip[@]}" --editable ".$extras" "${from_pip[@]}" >>"$log" 2>&1 || failed_log "pip install failed"
 .venv/bin/python scripts/venv_setup.py check || fail "the installation does not work"
 
 fingerprint >"$stamp"

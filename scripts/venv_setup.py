@@ -50,7 +50,7 @@ def prepare() -> None:
     temporary.replace(pth)
 
     system = [path for path in sys.path if "dist-packages" in path]
-    names = {*SYSTEM, *SYSTEM_OR_PIP}
+    names = {*SYSTEM, *SYSTEM_OR_PIP} - {"xarray"}  # pure Python, and packaged with odd version numbers
     held = {
         f"{name}=={distribution.version}"
         for distribution in importlib.metadata.distributions(path=system)
