@@ -112,7 +112,7 @@ def _keys(job: Job) -> dict[str, Any]:
 
 
 def _lists_in_one_line(toml: str) -> str:
-    """``[64, 64]`` instead of a line for each number; a job has no lists of strings, so brackets are lists."""
+    """``[64, 64]`` instead of a line for each number; a job has no lists of strings."""
     out, pending = [], ""
     for line in toml.split("\n"):
         if not pending and not line.endswith("["):

@@ -298,7 +298,7 @@ class RandomDensity(Section):
     temperature: Positive = Field(default=1.0, description="a number > 0")
     correlation_length: NonNegative = Field(
         default=0.0,
-        description="0 (white noise per cell), or a length resolved by at most 512 waves in the domain",
+        description="0 (white noise per cell), or a length from 1/350 of the domain to all of it",
     )
 
 
