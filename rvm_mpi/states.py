@@ -136,8 +136,8 @@ def smooth_noise(seed: int, length: float, block: Block) -> np.ndarray:
 
     It is the Fourier series sum over m != 0 of sqrt(S(k)) (a_m cos + b_m sin)(k . (x - lower)), with
     k = 2 pi m / (length of the domain) and S ~ exp(-(k length)^2 / 2), that is the correlation
-    exp(-r^2 / (2 length^2)) in a large domain. The normal numbers a_m, b_m of mode m = (m_x, m_y) depend on seed and m alone, so neither the
-    grid nor the number of waves kept changes them.
+    exp(-r^2 / (2 length^2)) in a large domain. The normal numbers a_m, b_m of mode m = (m_x, m_y) depend on
+    seed and m alone, so neither the grid nor the number of waves kept changes them.
 
     Parameters
     ----------

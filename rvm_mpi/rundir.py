@@ -1,0 +1,217 @@
+"""A run directory: whether it is free, moving an old run aside, `job.toml`, and what produced the run.
+
+Only rank 0 changes anything on disk; `check` may be called by every rank before anything is written.
+"""
+
+from __future__ import annotations
+
+import os
+import platform
+import subprocess
+import sys
+from datetime import datetime, timezone
+from importlib import metadata
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rvm_mpi.job_text import JobError
+
+if TYPE_CHECKING:
+    from rvm_mpi.job import Job
+
+MARKS = ("job.toml", "fields.h5", "history.csv", "run.log")
+"""Files that tell a run directory; checkpoints do too."""
+MAY_CHANGE = {"title", "time", "output"}
+"""Tables that a restarted job may have changed: they decide how far a run goes and what it stores."""
+
+
+def holds_run(path: Path) -> bool:
+    """Whether a directory holds a run or what is left of one."""
+    return any((path / name).exists() for name in MARKS) or bool(checkpoints(path))
+
+
+def checkpoints(path: Path) -> list[Path]:
+    """Files named as checkpoints, whether they are complete or not, sorted by name."""
+    return sorted(path.glob("checkpoint-*.h5"))
+
+
+def check(path: Path, restart: bool = False, overwrite: bool = False) -> None:
+    """Refuse a directory that cannot take this run; writes nothing.
+
+    Raises
+    ------
+    JobError
+        If it holds a run and neither `restart` nor `overwrite` is set, if there is nothing to restart from,
+        or if it cannot be a directory that this user may write to.
+    """
+    if restart and overwrite:
+        raise JobError("--restart and --overwrite exclude each other")
+    try:
+        if path.exists() and not path.is_dir():
+            raise JobError(f"{path}: is not a directory")
+        if restart and not holds_run(path):
+            raise JobError(f"{path}: nothing to restart: it holds no run")
+        if restart and not checkpoints(path):
+            raise JobError(f"{path}: nothing to restart from: it holds no checkpoint")
+        if not restart and not overwrite and path.exists() and holds_run(path):
+            raise JobError(
+                f"{path}: holds a run already; --restart goes on with it, --overwrite moves it aside, "
+                "--output names another directory"
+            )
+        _check_writable(path)
+    except OSError as error:
+        raise JobError(f"{path}: cannot be used: {error.strerror or error}") from None
+
+
+def _check_writable(path: Path) -> None:
+    """The directory, or the nearest one above it that exists, must be a directory and writable."""
+    place = path.absolute()
+    while not place.exists():
+        place = place.parent
+    if not place.is_dir():
+        raise JobError(f"{path}: {place} is not a directory")
+    if not os.access(place, os.W_OK | os.X_OK):
+        raise JobError(f"{path}: no permission to write in {place}")
+
+
+def check_restart(path: Path, job: Job) -> None:
+    """Refuse to go on with a run as another job: only `time`, `output` and `title` may differ.
+
+    Raises
+    ------
+    JobError
+        Naming the first table that differs, or if `job.toml` cannot be read.
+    """
+    from rvm_mpi.job import Job
+
+    before = Job.from_file(path / "job.toml")
+    for table in Job.model_fields:
+        if table not in MAY_CHANGE and getattr(before, table) != getattr(job, table):
+            raise JobError(
+                f"{path}: cannot restart: [{table}] differs from the run's own job.toml; "
+                "only time and output may change"
+            )
+
+
+def prepare(path: Path, job: Job, restart: bool = False, overwrite: bool = False) -> Path | None:
+    """Make the directory ready for a run and write `job.toml`; for rank 0 alone.
+
+    An old run is moved, whole, to `NAME-old-1` (or the next free number), never deleted; with `restart` an
+    older `job.toml` that differs is kept as `job-1.toml` (or the next free number).
+
+    Returns
+    -------
+    Path or None
+        Where the old run went, if there was one in the way.
+
+    Raises
+    ------
+    JobError
+        As `check` and `check_restart`, or if the disk refuses.
+    """
+    check(path, restart, overwrite)
+    path, aside = path.resolve(), None  # a link to another disk stays one, and "." stays this place
+    try:
+        if restart:
+            check_restart(path, job)
+            if (path / "job.toml").read_text(encoding="utf-8") != job.to_toml():
+                (path / "job.toml").rename(_free(path / "job", ".toml"))
+        elif overwrite and path.exists() and holds_run(path):
+            aside = _free(path.with_name(f"{path.name}-old"))
+            path.rename(aside)
+        path.mkdir(parents=True, exist_ok=True)
+        part = path / "job.toml.part"
+        part.write_text(job.to_toml(), encoding="utf-8")
+        part.replace(path / "job.toml")
+    except OSError as error:
+        raise JobError(f"{path}: cannot be used: {error.strerror or error}") from None
+    return aside
+
+
+def _free(path: Path, suffix: str = "") -> Path:
+    """The first of NAME-1, NAME-2, ... that does not exist."""
+    number = 1
+    while (candidate := path.with_name(f"{path.name}-{number}{suffix}")).exists():
+        number += 1
+    return candidate
+
+
+def provenance(ranks: int) -> dict[str, str]:
+    """What produced a run, as attributes of its results: versions, commit, ranks, machine, start time."""
+    from rvm_mpi import __version__
+
+    facts = {
+        "version": __version__,
+        "git_commit": git_commit(),
+        "ranks": str(ranks),
+        "started": datetime.now(timezone.utc).isoformat(timespec="seconds"),
+        "machine": f"{platform.node()}, {processor()}, {platform.system()} {platform.release()}",
+        "python": platform.python_version(),
+    }
+    for module in ("numpy", "numba", "mpi4py", "petsc4py", "h5py", "scipy", "pydantic"):
+        facts[module] = library_version(module)
+    facts["mpi"], facts["petsc"], facts["hdf5"] = _mpi(), _petsc(), _hdf5()
+    return facts
+
+
+def library_version(module: str) -> str:
+    """Version of an imported module, else of the installed package, else "not installed"."""
+    loaded = sys.modules.get(module)
+    if loaded is not None and hasattr(loaded, "__version__"):
+        return str(loaded.__version__)
+    try:
+        return metadata.version(module)
+    except metadata.PackageNotFoundError:
+        return "not installed"
+
+
+def git_commit() -> str:
+    """Commit of the source tree this package is imported from, "-dirty" if changed; "unknown" outside one."""
+    here = Path(__file__).resolve().parent
+
+    def git(*arguments: str) -> str:
+        done = subprocess.run(
+            ["git", "-C", str(here), *arguments], capture_output=True, text=True, timeout=10, check=True
+        )
+        return done.stdout.strip()
+
+    try:
+        git("ls-files", "--error-unmatch", "__init__.py")
+        return git("rev-parse", "HEAD") + ("-dirty" if git("status", "--porcelain", "--", ".") else "")
+    except (OSError, subprocess.SubprocessError):
+        return "unknown"
+
+
+def processor() -> str:
+    """The processor's name and how many of its cores this process may use."""
+    name = platform.processor() or platform.machine()
+    try:
+        for line in Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").splitlines():
+            if line.startswith("model name"):
+                name = line.partition(":")[2].strip()
+                break
+    except OSError:
+        pass
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    return f"{name} ({cores} {'core' if cores == 1 else 'cores'})"
+
+
+def _mpi() -> str:
+    if "mpi4py.MPI" not in sys.modules:
+        return "not loaded"
+    return one_line(sys.modules["mpi4py.MPI"].Get_library_version())
+
+
+def _petsc() -> str:
+    if "petsc4py.PETSc" not in sys.modules:
+        return "not loaded"
+    return ".".join(map(str, sys.modules["petsc4py.PETSc"].Sys.getVersion()))
+
+
+def _hdf5() -> str:
+    return sys.modules["h5py"].version.hdf5_version if "h5py" in sys.modules else "not loaded"
+
+
+def one_line(text: str) -> str:
+    """The text's first line, without the padding of C strings."""
+    return text.replace("\0", "").strip().split("\n")[0].strip()
