@@ -144,6 +144,7 @@ class FieldsFile:
         self.layout = {**field_layout(job), **(extra or {})}
         self._cell_fields = set(field_layout(job))
         self._block = _block(domain)
+        self._local = (domain.local[1], domain.local[0])
         h5py = _parallel_h5py(comm)
 
         error: Exception | None = None
@@ -224,11 +225,12 @@ class FieldsFile:
         for name, values in fields.items():
             dataset = self._file[name]
             per_cell = self.layout[name].shape[len(self._block) :]
-            shape = tuple(part.stop - part.start for part in self._block) + per_cell
-            if np.size(values) != np.prod(shape, dtype=int) or np.shape(values)[2:] != per_cell:
-                raise ValueError(f"{name} has shape {np.shape(values)}, this rank's block is {shape}")
+            expected = (*self._local, *per_cell)
+            if np.shape(values) != expected:
+                raise ValueError(f"{name} has shape {np.shape(values)}, this rank's block is {expected}")
             where = (index, *self._block, *(slice(0, n) for n in per_cell))
-            dataset[where] = np.ascontiguousarray(values, dtype=np.float64).reshape(shape)
+            block = expected[2 - len(self._block) :]
+            dataset[where] = np.ascontiguousarray(values, dtype=np.float64).reshape(block)
         for name, (part, values) in extra.items():
             if name in self._cell_fields or name not in self.layout:
                 raise ValueError(f"{name} is not one of the extra datasets")

@@ -1,0 +1,394 @@
+"""fields.h5, fields.xdmf and history.csv, written and read by one process."""
+
+import csv
+import math
+import os
+import subprocess
+import sys
+import xml.etree.ElementTree as ET
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+
+from rvm_mpi import results
+
+ALL_SIZES = [((), 1), ((), 2), ((9,), 1), ((9,), 3), ((7, 5), 2), ((7, 5), 3)]
+
+
+def make_job(cells=(7, 5), d=3, times=(0.0, 0.5, 2.0), kind="kinetic", fluid=True, marginals=True):
+    n = len(cells)
+    lower, upper = (-1.0, 2.0)[:n], (1.0, 3.0)[:n]
+    return SimpleNamespace(
+        title="a test",
+        text="[space]\n",
+        space=SimpleNamespace(
+            cells=cells,
+            lower=lower,
+            upper=upper,
+            dimensions=n,
+            spacing=tuple((b - a) / c for a, b, c in zip(lower, upper, cells, strict=True)),
+        ),
+        velocity=SimpleNamespace(points=(8, 6, 4)[:d], half_width=(7.0,) * d, dimensions=d),
+        scaling=SimpleNamespace(kind=kind),
+        fluid=SimpleNamespace(enabled=fluid),
+        output=SimpleNamespace(times=times, marginals=marginals),
+    )
+
+
+def make_domain(job):
+    nx, ny = (*job.space.cells, 1, 1)[:2]
+    return SimpleNamespace(dimensions=job.space.dimensions, start=(0, 0), local=(nx, ny))
+
+
+def make_file(directory, job, **more):
+    attributes = {"version": "1.2.3", "ranks": 1}
+    domain = make_domain(job)
+    return results.FieldsFile(directory / "fields.h5", MPI.COMM_SELF, domain, job, attributes, **more)
+
+
+def random_fields(job, seed=0):
+    rng = np.random.default_rng(seed)
+    nx, ny = (*job.space.cells, 1, 1)[:2]
+    return {
+        name: rng.normal(size=(ny, nx, *layout.shape[job.space.dimensions :]))
+        for name, layout in results.field_layout(job).items()
+    }
+
+
+@pytest.mark.parametrize(("cells", "d"), ALL_SIZES)
+def test_what_is_written_is_read_back(tmp_path, cells, d):
+    job = make_job(cells, d)
+    fields = [random_fields(job, seed) for seed in range(3)]
+    with make_file(tmp_path, job) as file:
+        for index, time in enumerate(job.output.times):
+            file.write(index, time, fields[index])
+    run = results.open_run(tmp_path)
+    assert run.time.values.tolist() == [0.0, 0.5, 2.0]
+    assert len(run.data_vars) == 10
+    space = ("y", "x")[2 - len(cells) :]
+    shape = tuple(reversed(cells))
+    assert run.kinetic_density.dims == ("time", *space)
+    assert run.kinetic_stress.shape == (3, *shape, d, d)
+    assert run.marginal_x.dims == ("time", *space, "xi_x")
+    assert run.component.values.tolist() == ["x", "y", "z"][:d]
+    for name, layout in results.field_layout(job).items():
+        values = run[name.replace("/", "_")].values
+        for index in range(3):
+            assert np.array_equal(values[index], fields[index][name].reshape(layout.shape)), name
+
+
+def test_coordinates_and_attributes(tmp_path):
+    job = make_job()
+    with make_file(tmp_path, job, xi_x=np.arange(8.0)):
+        pass
+    run = results.open_run(tmp_path)
+    assert run.x.values == pytest.approx(-1 + (np.arange(7) + 0.5) * 2 / 7)
+    assert run.y.values == pytest.approx([2.1, 2.3, 2.5, 2.7, 2.9])
+    assert run.xi_x.values.tolist() == list(range(8))
+    assert run.attrs == {"version": "1.2.3", "ranks": 1, "title": "a test", "job": "[space]\n"}
+    assert "temperature tensor" in run.kinetic_stress.attrs["long_name"]
+    assert "1/2" in run.kinetic_heat_flux.attrs["long_name"]
+    assert all(run[name].attrs["units"] for name in run.data_vars)
+    assert run.fluid_density.attrs["path"] == "/fluid/density"
+
+
+def test_velocity_nodes_are_cell_centres_unless_given(tmp_path):
+    with make_file(tmp_path, make_job((), 3)):
+        pass
+    nodes = results.open_run(tmp_path).xi_x.values
+    assert nodes == pytest.approx(np.linspace(-7 + 0.875, 7 - 0.875, 8))
+
+
+@pytest.mark.parametrize(
+    ("kind", "enabled", "stored"),
+    [
+        ("kinetic", True, True),
+        ("kinetic", False, False),
+        ("macroscopic", False, True),
+        ("none", False, False),
+    ],
+)
+def test_which_groups_are_there(tmp_path, kind, enabled, stored):
+    job = make_job(kind=kind, fluid=enabled, marginals=False)
+    with make_file(tmp_path, job):
+        pass
+    names = set(results.open_run(tmp_path).data_vars)
+    assert {"kinetic_density", "scaling_omega"} < names
+    assert ("fluid_temperature" in names) is stored
+    assert "marginal_x" not in names
+
+
+def test_structure_is_contiguous_complete_and_allocated_from_the_start(tmp_path):
+    import h5py
+
+    job = make_job()
+    with make_file(tmp_path, job):
+        size = (tmp_path / "fields.h5").stat().st_size
+    with h5py.File(tmp_path / "fields.h5", "r") as file:
+        assert np.isnan(file["time"][()]).all()
+        for name, layout in results.field_layout(job).items():
+            assert file[name].shape == (3, *layout.shape)
+            assert file[name].chunks is None
+            assert file[name].id.get_offset() is not None
+            assert np.isnan(file[name][()]).all()
+    with make_file(tmp_path, job, reopen=True) as file:
+        for index in range(3):
+            file.write(index, float(index), random_fields(job))
+    assert (tmp_path / "fields.h5").stat().st_size == size
+    assert [path.name for path in tmp_path.iterdir()] == ["fields.h5"]
+
+
+def test_only_times_that_exist_are_read_also_while_the_file_is_open(tmp_path):
+    job = make_job()
+    with make_file(tmp_path, job) as file:
+        assert results.open_run(tmp_path).sizes["time"] == 0
+        file.write(0, 0.0, random_fields(job))
+        file.write(2, 2.0, random_fields(job, 2))
+        run = results.open_run(tmp_path / "fields.h5")
+        assert run.time.values.tolist() == [0.0, 2.0]
+        assert np.array_equal(run.scaling_omega.values[1], random_fields(job, 2)["scaling/omega"])
+
+
+def test_a_failed_snapshot_does_not_exist_and_the_next_one_does(tmp_path):
+    job = make_job()
+    with make_file(tmp_path, job) as file:
+        file.write(0, 0.0, random_fields(job))
+        wrong = random_fields(job)
+        wrong["kinetic/velocity"] = wrong["kinetic/velocity"][:, :, :2]
+        with pytest.raises(OSError, match=r"snapshot 1 at t = 0\.5.*kinetic/velocity has shape \(5, 7, 2\)"):
+            file.write(1, 0.5, wrong)
+        assert results.open_run(tmp_path).time.values.tolist() == [0.0]
+        # a snapshot that is being replaced is gone until the new one is complete
+        with pytest.raises(OSError, match="kinetic/velocity"):
+            file.write(0, 0.0, wrong)
+        assert results.open_run(tmp_path).sizes["time"] == 0
+        file.write(0, 0.0, random_fields(job, 7))
+    run = results.open_run(tmp_path)
+    assert np.array_equal(run.kinetic_density.values[0], random_fields(job, 7)["kinetic/density"])
+
+
+def test_a_block_turned_round_is_refused(tmp_path):
+    job = make_job()
+    fields = random_fields(job)
+    fields["kinetic/density"] = fields["kinetic/density"].T
+    with make_file(tmp_path, job) as file, pytest.raises(OSError, match=r"\(7, 5\)"):
+        file.write(0, 0.0, fields)
+
+
+@pytest.mark.parametrize("change", ["missing", "unknown"])
+def test_missing_and_unknown_fields_are_named(tmp_path, change):
+    job = make_job()
+    fields = random_fields(job)
+    if change == "missing":
+        del fields["fluid/density"]
+    else:
+        fields["fluid/densty"] = fields["fluid/density"]
+    with make_file(tmp_path, job) as file, pytest.raises(OSError, match="missing or unknown: fluid/dens"):
+        file.write(0, 0.0, fields)
+
+
+def test_snapshot_number_out_of_range(tmp_path):
+    job = make_job()
+    with make_file(tmp_path, job) as file, pytest.raises(OSError, match="room for 3"):
+        file.write(3, 3.0, random_fields(job))
+
+
+def test_extra_datasets(tmp_path):
+    job = make_job()
+    extra = {
+        "wall/x-lower/pressure": results.Layout((5,), ("y",), "pressure on the wall", "reference pressure"),
+        "wall/x-lower/shear_stress": results.Layout((5, 2), ("y", "direction"), "shear stress"),
+        "wall/total": results.Layout((), (), "one number"),
+    }
+    with make_file(tmp_path, job, extra=extra) as file:
+        shares = {
+            "wall/x-lower/pressure": ((slice(1, 4),), np.array([1.0, 2.0, 3.0])),
+            "wall/x-lower/shear_stress": ((slice(0, 5), slice(0, 2)), np.arange(10.0).reshape(5, 2)),
+            "wall/total": ((), 42.0),
+        }
+        file.write(0, 0.0, random_fields(job), shares)
+        with pytest.raises(OSError, match="wall/none is not one of the extra"):
+            file.write(1, 0.5, random_fields(job), {"wall/none": ((), 1.0)})
+    run = results.open_run(tmp_path)
+    assert np.array_equal(run.wall_x_lower_pressure.values, [[np.nan, 1, 2, 3, np.nan]], equal_nan=True)
+    assert run.wall_x_lower_pressure.dims == ("time", "y")
+    assert run.wall_x_lower_pressure.attrs["path"] == "/wall/x-lower/pressure"
+    assert run.wall_x_lower_shear_stress.values[0].tolist() == np.arange(10.0).reshape(5, 2).tolist()
+    assert run.wall_total.values.tolist() == [42.0]
+
+
+def test_reopening_keeps_what_is_there_and_refuses_another_job(tmp_path):
+    job = make_job()
+    with make_file(tmp_path, job) as file:
+        file.write(0, 0.0, random_fields(job))
+    with make_file(tmp_path, job, reopen=True) as file:
+        file.write(1, 0.5, random_fields(job, 1))
+    run = results.open_run(tmp_path)
+    assert run.time.values.tolist() == [0.0, 0.5]
+    assert np.array_equal(run.kinetic_density.values[0], random_fields(job)["kinetic/density"])
+    with pytest.raises(
+        OSError, match=r"kinetic/density has shape \(3, 5, 7\) in the file, \(3, 5, 8\) in the job"
+    ):
+        make_file(tmp_path, make_job((8, 5)), reopen=True)
+    with pytest.raises(OSError, match="No such file"):
+        make_file(tmp_path / "nowhere", job, reopen=True)
+
+
+def test_a_missing_directory_and_a_missing_run_are_one_clear_line(tmp_path):
+    with pytest.raises(OSError, match=r"nowhere/fields.h5 cannot be created: .*No such file") as caught:
+        make_file(tmp_path / "nowhere", make_job())
+    assert "\n" not in str(caught.value)
+    with pytest.raises(FileNotFoundError, match=r"no such file; is .* a run directory"):
+        results.open_run(tmp_path)
+
+
+def test_reading_needs_no_mpi(tmp_path):
+    with make_file(tmp_path, make_job()) as file:
+        file.write(0, 0.0, random_fields(make_job()))
+    code = (
+        "import sys; from rvm_mpi.results import open_run; run = open_run(sys.argv[1]); "
+        "print(run.kinetic_density.shape, 'mpi4py.MPI' in sys.modules)"
+    )
+    clean = {k: v for k, v in os.environ.items() if not k.startswith(("OMPI", "PMI", "MPI", "H5PY"))}
+    answer = subprocess.run(
+        [sys.executable, "-c", code, str(tmp_path)],
+        capture_output=True,
+        text=True,
+        env=clean,
+        check=True,
+        timeout=60,
+    )
+    assert answer.stdout.strip() == "(1, 5, 7) False"
+
+
+def test_serial_h5py_with_several_ranks_says_what_is_missing(monkeypatch):
+    config = SimpleNamespace(mpi=False)
+    fake = SimpleNamespace(get_config=lambda: config, __file__="/somewhere/h5py/__init__.py")
+    monkeypatch.setattr(results, "_import_h5py", lambda: fake)
+    with pytest.raises(
+        RuntimeError, match=r"/somewhere/h5py is built without MPI.*2 ranks.*python3-h5py-mpi"
+    ):
+        results._parallel_h5py(SimpleNamespace(size=2))
+    assert results._parallel_h5py(SimpleNamespace(size=1)) is fake
+
+
+def xdmf_values(item, directory):
+    """Evaluate one HyperSlab item the way an XDMF reader does."""
+    import h5py
+
+    choice, data = item.findall("DataItem")
+    start, stride, count = np.array(choice.text.split(), dtype=int).reshape(3, -1)
+    name, path = data.text.split(":")
+    with h5py.File(directory / name, "r") as file:
+        dataset = file[path]
+        assert list(dataset.shape) == [int(n) for n in data.get("Dimensions").split()]
+        part = dataset[tuple(slice(a, a + n, s) for a, s, n in zip(start, stride, count, strict=True))]
+    return part.reshape([int(n) for n in item.get("Dimensions").split()])
+
+
+@pytest.mark.parametrize(("cells", "d"), ALL_SIZES)
+def test_xdmf_leads_to_the_right_numbers(tmp_path, cells, d):
+    job = make_job(cells, d)
+    nx, ny = (*cells, 1, 1)[:2]
+    with make_file(tmp_path, job) as file:
+        file.write(0, 0.0, random_fields(job, 0))
+        file.write(2, 2.0, random_fields(job, 2))
+    results.write_xdmf(tmp_path / "fields.xdmf", job, [0.0, math.nan, 2.0])
+    series = ET.parse(tmp_path / "fields.xdmf").getroot().find("Domain/Grid")
+    grids = series.findall("Grid")
+    assert [float(grid.find("Time").get("Value")) for grid in grids] == [0.0, 2.0]
+    fields = random_fields(job, 2)
+    found = {}
+    for attribute in grids[1].findall("Attribute"):
+        assert attribute.get("Center") == "Cell"
+        kind = attribute.get("AttributeType")
+        values = xdmf_values(attribute.find("DataItem"), tmp_path)
+        assert values.shape == (ny, nx, *{"Scalar": (), "Vector": (3,), "Tensor": (9,)}[kind])
+        found[attribute.get("Name")] = values
+    assert np.array_equal(found["kinetic density"], fields["kinetic/density"])
+    if d == 3:
+        assert np.array_equal(found["fluid velocity"], fields["fluid/velocity"])
+        assert np.array_equal(found["kinetic stress"], fields["kinetic/stress"].reshape(ny, nx, 9))
+    else:
+        assert np.array_equal(found["kinetic heat flux x"], fields["kinetic/heat_flux"][..., 0])
+        assert np.array_equal(
+            found[f"kinetic stress x{'xy'[d - 1]}"], fields["kinetic/stress"][..., 0, d - 1]
+        )
+        assert "kinetic stress yx" not in found
+    assert grids[1].find("Topology").get("Dimensions") == f"{ny + 1} {nx + 1}"
+    nodes = [np.array(item.text.split(), dtype=float) for item in grids[1].findall("Geometry/DataItem")]
+    assert [len(n) for n in nodes] == [nx + 1, ny + 1]
+    if cells:
+        assert (nodes[0][0], nodes[0][-1]) == pytest.approx((-1.0, 1.0))
+    if len(cells) == 2:
+        assert (nodes[1][0], nodes[1][-1]) == pytest.approx((2.0, 3.0))
+
+
+COLUMNS = ("step", "time", "mass", "min_g")
+
+
+def history_row(step):
+    return {"mass": 1 / 3 + step, "time": 0.1 * step, "min_g": -1e-17, "step": step}
+
+
+def test_history_reads_back_to_the_last_bit(tmp_path):
+    history = results.History(tmp_path / "history.csv", COLUMNS)
+    for step in (0, 1, 2):
+        history.append(history_row(step))
+        rows = list(csv.DictReader((tmp_path / "history.csv").open()))
+        assert len(rows) == step + 1  # each row is in the file as soon as it is appended
+    history.close()
+    assert list(rows[2]) == list(COLUMNS)
+    assert rows[2]["step"] == "2"
+    assert {name: float(value) for name, value in rows[2].items()} == history_row(2)
+    columns = results.read_history(tmp_path)
+    assert columns["mass"].tolist() == [history_row(step)["mass"] for step in (0, 1, 2)]
+
+
+def test_history_writes_numpy_numbers_and_nan_plainly(tmp_path):
+    history = results.History(tmp_path / "history.csv", COLUMNS)
+    history.append({"step": np.int64(4), "time": np.float64(0.1), "mass": np.float32(0.5), "min_g": np.nan})
+    history.close()
+    assert (tmp_path / "history.csv").read_text() == "step,time,mass,min_g\n4,0.1,0.5,nan\n"
+
+
+@pytest.mark.parametrize("row", [{"step": 1}, {**history_row(1), "more": 1.0}])
+def test_history_refuses_other_columns(tmp_path, row):
+    history = results.History(tmp_path / "history.csv", COLUMNS)
+    with pytest.raises(ValueError, match="missing or unknown"):
+        history.append(row)
+    history.close()
+
+
+@pytest.mark.parametrize("columns", [("step", "a,b"), ("step", "a b"), ("step", "step"), ("step", "")])
+def test_history_refuses_columns_that_break_a_csv_file(tmp_path, columns):
+    with pytest.raises(ValueError, match="columns of a CSV"):
+        results.History(tmp_path / "history.csv", columns)
+
+
+def test_history_goes_on_after_a_restart(tmp_path):
+    path = tmp_path / "history.csv"
+    history = results.History(path, COLUMNS)
+    for step in range(5):
+        history.append(history_row(step))
+    history.close()
+    with path.open("a") as file:
+        file.write("5,0.5,1.2")  # cut off in mid-write
+    assert results.read_history(tmp_path)["step"].tolist() == [0, 1, 2, 3, 4]
+    history = results.History(path, COLUMNS, resume_after=2)
+    history.append(history_row(3))
+    history.close()
+    assert results.read_history(tmp_path)["step"].tolist() == [0, 1, 2, 3]
+    with pytest.raises(ValueError, match="other columns"):
+        results.History(path, ("step", "time"), resume_after=2)
+    assert results.read_history(tmp_path)["step"].tolist() == [0, 1, 2, 3]
+
+
+def test_a_new_history_starts_empty(tmp_path):
+    for _ in range(2):
+        history = results.History(tmp_path / "history.csv", COLUMNS)
+        history.append(history_row(1))
+        history.close()
+    assert results.read_history(tmp_path)["step"].tolist() == [1]
