@@ -1,0 +1,45 @@
+#!/bin/bash
+# Test 4 of Filbet and Rey (2013), clustering in a granular gas, under SLURM. From the project's root:
+#
+#   sbatch jobs/test4_slurm.sh                 test4_clustering_kinetic
+#   sbatch jobs/test4_slurm.sh NAME            another job of jobs/
+#
+# Two minutes before the time limit SLURM sends SIGUSR1 to this script (the B: below), which hands it to mpirun,
+# and mpirun to the ranks: rvm writes a checkpoint and exits with status 75, "run again with --restart". This
+# script then puts itself back into the queue, and goes on from the checkpoint when its turn comes.
+#
+#SBATCH --job-name=rvm-test4
+#SBATCH --nodes=1
+#SBATCH --ntasks=16
+#SBATCH --cpus-per-task=1
+#SBATCH --time=02:00:00
+#SBATCH --signal=B:USR1@120
+#SBATCH --requeue
+#SBATCH --open-mode=append
+#SBATCH --output=%x-%j.log
+set -euo pipefail
+cd "${SLURM_SUBMIT_DIR:?submit this script with sbatch}"
+# module load openmpi petsc hdf5        # as on your cluster: docs/install.md
+
+name=${1:-test4_clustering_kinetic}
+restart=()
+if compgen -G "runs/$name/checkpoint-*.h5" >/dev/null; then
+    restart=(--restart)
+fi
+
+mpirun -n "$SLURM_NTASKS" --bind-to core \
+    .venv/bin/rvm run "jobs/$name.toml" --output "runs/$name" "${restart[@]}" &
+pid=$!
+trap 'kill -USR1 "$pid"' USR1
+
+status=0
+wait "$pid" || status=$?
+while kill -0 "$pid" 2>/dev/null; do # the signal ended the wait, not the run
+    status=0
+    wait "$pid" || status=$?
+done
+
+if [ "$status" = 75 ]; then
+    scontrol requeue "$SLURM_JOB_ID"
+fi
+exit "$status"
