@@ -335,13 +335,13 @@ def _needs_space(state: str, space: Space) -> None:
 
 
 def _inside(key: str, point: float, axis: int, space: Space) -> None:
-    low, high = (space.lower or ())[axis], (space.upper or ())[axis]
+    low, high = space.lower[axis], space.upper[axis]
     if not low < point < high:
         raise KeyProblem(key, "outside the domain", point, f"between {low} and {high}")
 
 
 def _middle(space: Space) -> Vector:
-    return tuple(0.5 * a + 0.5 * b for a, b in zip(space.lower or (), space.upper or (), strict=True))
+    return tuple(0.5 * a + 0.5 * b for a, b in zip(space.lower, space.upper, strict=True))
 
 
 def _resolve_uniform(state: Uniform, space: Space, d: int, collision: Collision) -> Uniform:

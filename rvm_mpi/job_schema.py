@@ -1,7 +1,7 @@
 """The tables of a job file: their keys, types, ranges and defaults.
 
 The descriptions of the fields are what messages call "allowed". A key whose default depends on other tables
-is None here; `rvm_mpi.job_checks.resolve` fills it in.
+is None until `rvm_mpi.job_checks.resolve` fills it in; its type is the one it has from then on.
 """
 
 from __future__ import annotations
@@ -13,6 +13,8 @@ from typing import Annotated, Any, Literal, get_args
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PrivateAttr, model_validator
 
 LARGEST_SEED = 2**63 - 1
+FOLLOWS: Any = None
+"""Default of a key that follows from other keys."""
 
 Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 Positive = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0)]
@@ -85,8 +87,8 @@ class Space(Section):
     cells: tuple[Annotated[int, Field(strict=True, ge=3, le=65536)], ...] = Field(
         description="a list of 0, 1 or 2 integers from 3 to 65536", max_length=2
     )
-    lower: Vector | None = Field(default=None, description="a list of numbers, one per space dimension")
-    upper: Vector | None = Field(default=None, description="a list of numbers, one per space dimension")
+    lower: Vector = Field(default=FOLLOWS, description="a list of numbers, one per space dimension")
+    upper: Vector = Field(default=FOLLOWS, description="a list of numbers, one per space dimension")
     boundary: Boundaries = Field(default=Boundaries(), description="a table with x, y")
 
     @property
@@ -97,7 +99,7 @@ class Space(Section):
     @property
     def length(self) -> tuple[float, ...]:
         """Length of the domain along each direction."""
-        return tuple(b - a for a, b in zip(self.lower or (), self.upper or (), strict=True))
+        return tuple(b - a for a, b in zip(self.lower, self.upper, strict=True))
 
     @property
     def spacing(self) -> tuple[float, ...]:
@@ -262,8 +264,8 @@ def duration(value: Any) -> float:
 class Output(Section):
     """Snapshots at `times` (hit exactly) and checkpoints each `checkpoint_every` seconds of wall clock."""
 
-    times: tuple[NonNegative, ...] | None = Field(
-        default=None, description="a list of rising numbers from 0 to time.end", min_length=1
+    times: tuple[NonNegative, ...] = Field(
+        default=FOLLOWS, description="a list of rising numbers from 0 to time.end", min_length=1
     )
     checkpoint_every: Annotated[float, BeforeValidator(duration)] = Field(
         default=600.0, description='a duration in quotes such as "30 s", "10 min" or "1 h"'
@@ -279,8 +281,8 @@ class Uniform(Section):
 
     state: Literal["uniform"]
     density: Positive = Field(default=1.0, description="a number > 0")
-    temperature: Positive | None = Field(default=None, description="a number > 0")
-    velocity: Vector | None = Field(default=None, description="a list of numbers, one per velocity dimension")
+    temperature: Positive = Field(default=FOLLOWS, description="a number > 0")
+    velocity: Vector = Field(default=FOLLOWS, description="a list of numbers, one per velocity dimension")
     stress: tuple[Vector, ...] | None = Field(
         default=None, description="a symmetric positive definite d x d list of lists of numbers"
     )
@@ -310,8 +312,8 @@ class TemperatureDisc(Section):
     inner: Positive = Field(default=1.0, description="a number > 0")
     outer: Positive = Field(default=100.0, description="a number > 0")
     density: Positive = Field(default=1.0, description="a number > 0")
-    centre: Vector | None = Field(
-        default=None, description="a point inside the domain, one number per space dimension"
+    centre: Vector = Field(
+        default=FOLLOWS, description="a point inside the domain, one number per space dimension"
     )
 
 
@@ -320,7 +322,7 @@ class GasState(Section):
 
     density: Positive = Field(description="a number > 0")
     temperature: Positive = Field(description="a number > 0")
-    velocity: Vector | None = Field(default=None, description="a list of numbers, one per velocity dimension")
+    velocity: Vector = Field(default=FOLLOWS, description="a list of numbers, one per velocity dimension")
 
 
 class Riemann(Section):
@@ -328,7 +330,7 @@ class Riemann(Section):
 
     state: Literal["riemann"]
     direction: Literal["x", "y"] = Field(default="x", description='"x" | "y", a direction space has')
-    position: Number | None = Field(default=None, description="a number inside the domain")
+    position: Number = Field(default=FOLLOWS, description="a number inside the domain")
     left: GasState = Field(description="a table with density, temperature, velocity")
     right: GasState = Field(description="a table with density, temperature, velocity")
 
@@ -339,16 +341,16 @@ class Wave(Section):
     state: Literal["wave"]
     density: Positive = Field(default=1.0, description="a number > 0")
     temperature: Positive = Field(default=1.0, description="a number > 0")
-    velocity: Vector | None = Field(default=None, description="a list of numbers, one per velocity dimension")
-    mode: Vector | None = Field(
-        default=None, description="a list of whole numbers (halves between walls), one per space dimension"
+    velocity: Vector = Field(default=FOLLOWS, description="a list of numbers, one per velocity dimension")
+    mode: Vector = Field(
+        default=FOLLOWS, description="a list of whole numbers (halves between walls), one per space dimension"
     )
     density_amplitude: Number = Field(default=0.0, description="a number between -density and density")
     temperature_amplitude: Number = Field(
         default=0.0, description="a number between -temperature and temperature"
     )
-    velocity_amplitude: Vector | None = Field(
-        default=None, description="a list of numbers, one per velocity dimension"
+    velocity_amplitude: Vector = Field(
+        default=FOLLOWS, description="a list of numbers, one per velocity dimension"
     )
 
 

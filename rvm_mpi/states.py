@@ -55,7 +55,7 @@ class Block:
         first, last = ((self.i0, self.i1), (self.j0, self.j1))[axis]
         if axis >= space.dimensions:
             return np.zeros(last - first)
-        return (space.lower or ())[axis] + (np.arange(first, last) + 0.5) * space.spacing[axis]
+        return space.lower[axis] + (np.arange(first, last) + 0.5) * space.spacing[axis]
 
     def cut(self, values: np.ndarray) -> np.ndarray:
         """The block's part of an array (ny, nx, ...) on the whole domain."""
@@ -305,7 +305,7 @@ def _overlaps(centres: np.ndarray, axis: int, job: Job, where: str) -> np.ndarra
     """(cells here, cells there) shares of the cells of a run in each cell of this job along a direction."""
     there = (centres[-1] - centres[0]) / (len(centres) - 1)
     edges_there = centres[0] + (np.arange(len(centres) + 1) - 0.5) * there
-    low, here = (job.space.lower or ())[axis], job.space.spacing[axis]
+    low, here = job.space.lower[axis], job.space.spacing[axis]
     edges_here = low + np.arange(job.space.cells[axis] + 1) * here
     slack = 1e-9 * (edges_there[-1] - edges_there[0])
     if edges_here[0] < edges_there[0] - slack or edges_here[-1] > edges_there[-1] + slack:

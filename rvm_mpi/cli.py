@@ -1,0 +1,301 @@
+"""The commands `rvm run`, `rvm check`, `rvm info` and `rvm bench`: they parse and print, and compute nothing.
+
+A job is read and checked before PETSc and MPI are imported, on every rank, so that a wrong request ends at
+once.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import re
+import sys
+from collections.abc import Iterator, Sequence
+from math import inf, isnan, prod
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NoReturn
+
+from rvm_mpi import __version__, failures
+from rvm_mpi.job_text import JobError
+
+if TYPE_CHECKING:
+    from rvm_mpi.job import Job
+
+EXIT_STATUS = (
+    "exit status: 0 done; 2 the request is wrong, nothing was run; 3 the run failed; "
+    "75 stopped early with a checkpoint, go on with --restart"
+)
+
+
+class _Parser(argparse.ArgumentParser):
+    """An argument parser whose complaints are one line, like a job file's."""
+
+    def error(self, message: str) -> NoReturn:
+        raise JobError(f"{message} (see {self.prog} --help)")
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run a command; returns its exit status (0, 2, 3 or 75)."""
+    log: Path | None = None
+    try:
+        options = _parser().parse_args(arguments)
+        if options.command == "run":
+            log = _output(options) / "run.log"
+        return int(options.function(options))
+    except JobError as error:
+        return failures.refuse(error)
+    except BrokenPipeError:
+        # a reader such as `head` has seen enough; keep Python from complaining when it flushes at exit
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return failures.FAILED
+    except Exception as error:
+        return failures.fail(error, log)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = _Parser(
+        prog="rvm",
+        allow_abbrev=False,
+        description="Rescaled kinetic equations for dissipative and rarefied gases, in parallel.",
+        epilog=EXIT_STATUS,
+    )
+    parser.add_argument("--version", action="version", version=f"rvm {__version__}")
+    commands = parser.add_subparsers(dest="command", required=True, metavar="run|check|info|bench")
+    _add_run(commands)
+    _add_check(commands)
+    info = commands.add_parser("info", help="what a run directory holds", allow_abbrev=False)
+    info.add_argument("directory", metavar="DIR", type=Path)
+    info.set_defaults(function=_info)
+    bench = commands.add_parser("bench", help="throughput of the step on this machine", allow_abbrev=False)
+    bench.add_argument("--cells", nargs=2, type=_count, metavar=("NX", "NY"), default=[64, 64])
+    bench.add_argument("--velocity", nargs=3, type=_count, metavar=("NX", "NY", "NZ"), default=[24, 24, 8])
+    bench.add_argument("--json", action="store_true", help="print the figures as JSON")
+    bench.set_defaults(function=_bench)
+    return parser
+
+
+def _add_run(commands: Any) -> None:
+    run = commands.add_parser(
+        "run", help="run a job, alone or under mpirun", allow_abbrev=False, epilog=EXIT_STATUS
+    )
+    run.add_argument("job", metavar="JOB.toml")
+    run.add_argument("--output", metavar="DIR", type=Path, help="run directory [runs/<name of the job file>]")
+    _add_set(run)
+    run.add_argument("--restart", action="store_true", help="go on from the last checkpoint in DIR")
+    run.add_argument(
+        "--overwrite", action="store_true", help="move a run in DIR aside first; it is never deleted"
+    )
+    run.add_argument("--walltime", metavar="HH:MM:SS", type=_walltime, help="stop before, with a checkpoint")
+    run.add_argument("--quiet", action="store_true", help="no progress line")
+    run.set_defaults(function=_run)
+
+
+def _add_check(commands: Any) -> None:
+    check = commands.add_parser(
+        "check", help="validate a job and estimate its run; runs nothing", allow_abbrev=False
+    )
+    check.add_argument("job", metavar="JOB.toml", nargs="?")
+    _add_set(check)
+    check.add_argument("--ranks", metavar="N", type=_count, help="number of MPI ranks to plan for [1]")
+    check.add_argument("--states", action="store_true", help="list the initial states and their keys")
+    check.set_defaults(function=_check)
+
+
+def _add_set(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--set", metavar="KEY=VALUE", action="append", default=[],
+        help="override one key of the job file, for instance collision.restitution=0.75 (TOML syntax)",
+    )  # fmt: skip
+
+
+def _count(text: str) -> int:
+    if not text.isdecimal() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number above 0")
+    return int(text)
+
+
+def _walltime(text: str) -> float:
+    match = re.fullmatch(r"(?:(\d+)-)?(\d+):([0-5]\d):([0-5]\d)", text)
+    seconds = 0
+    if match:
+        days, hours, minutes, rest = (int(part or 0) for part in match.groups())
+        seconds = ((days * 24 + hours) * 60 + minutes) * 60 + rest
+    if seconds == 0:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a time HH:MM:SS above zero")
+    return float(seconds)
+
+
+# --- run
+
+
+def _output(options: argparse.Namespace) -> Path:
+    return options.output or Path("runs") / Path(options.job).stem
+
+
+def _run(options: argparse.Namespace) -> int:
+    from rvm_mpi import rundir
+    from rvm_mpi.domain import partition
+    from rvm_mpi.estimates import check_box
+    from rvm_mpi.job import Job
+
+    job = Job.from_file(options.job, options.set)
+    output = _output(options)
+    rundir.check(output, options.restart, options.overwrite)
+    if options.restart:
+        rundir.check_restart(output, job)
+    partition(job.space.cells, failures.launched_size())
+    check_box(job)
+
+    from rvm_mpi.simulation import run_job
+
+    return run_job(
+        job,
+        output=output,
+        restart=options.restart,
+        overwrite=options.overwrite,
+        walltime=options.walltime,
+        quiet=options.quiet,
+    )
+
+
+# --- check
+
+
+def _check(options: argparse.Namespace) -> int:
+    from rvm_mpi.states import describe_states
+
+    if not options.states and options.job is None:
+        raise JobError("check: give a job file, or --states (see rvm check --help)")
+    lines: list[str] = []
+    if options.job is not None:
+        from rvm_mpi.estimates import check_box
+        from rvm_mpi.job import Job
+
+        job = Job.from_file(options.job, options.set)
+        check_box(job)
+        lines += _check_lines(job, options.job, options.ranks or failures.launched_size())
+    if options.states:
+        lines += [*([""] if lines else []), *describe_states()]
+    if failures.launched_rank() == 0:
+        print("\n".join(lines), flush=True)
+    return 0
+
+
+def _check_lines(job: Job, file: str, ranks: int) -> Iterator[str]:
+    yield f"{file}: valid" + (f' ("{job.title}")' if job.title else "")
+    yield ""
+    yield from _grid_lines(job, ranks)
+    yield from _step_lines(job, ranks)
+    yield from _physics_lines(job)
+    yield from _velocity_lines(job)
+
+
+def _row(name: str, text: str) -> str:
+    return f"{name:<21} {text}"
+
+
+def _grid_lines(job: Job, ranks: int) -> Iterator[str]:
+    from rvm_mpi import estimates
+    from rvm_mpi.domain import largest_ranks, partition
+
+    split = partition(job.space.cells, ranks)
+    cells = " x ".join(map(str, job.space.cells)) or "1 (no space)"
+    velocities = " x ".join(map(str, job.velocity.points))
+    total = prod(job.space.cells) * prod(job.velocity.points)
+    yield _row("grid", f"{cells} cells x {velocities} velocities = {total:.4g} phase-space cells")
+    share = " x ".join(str(-(-n // p)) for n, p in zip(job.space.cells, split, strict=False)) or "1"
+    most = largest_ranks(job.space.cells)
+    yield _row(
+        "decomposition", f"{split[0]} x {split[1]} ranks of at most {share} cells (at most {most} ranks)"
+    )
+    size = estimates.memory(job, ranks)
+    words = estimates.bytes_in_words
+    yield _row(
+        "memory per rank",
+        f"{words(size.total)}: distribution {words(size.g)}, fluxes {words(size.fluxes)}, "
+        f"fields {words(size.fields)}, program and libraries {words(size.libraries)}",
+    )
+
+
+def _step_lines(job: Job, ranks: int) -> Iterator[str]:
+    from rvm_mpi import estimates
+
+    first = estimates.first_step(job)
+    yield _row("first time step", f"{first.dt:.4g}, limited by {first.limit}")
+    yield _row(
+        "  rates",
+        f"transport {first.transport_rate:.4g}, drift {first.drift_rate:.4g}, cooling {first.cooling_rate:.4g}",
+    )
+    number = f"about {estimates.steps(job):.3g} to t = {job.time.end:g}"
+    yield _row("steps", f"{number}, as far as the initial state tells")
+    seconds = estimates.run_seconds(job, ranks)
+    on = f"{ranks} {'core' if ranks == 1 else 'cores'}"
+    yield _row(
+        "run time", f"about {estimates.duration_in_words(seconds)} on {on}; `rvm bench` measures yours"
+    )
+
+
+def _physics_lines(job: Job) -> Iterator[str]:
+    from rvm_mpi import estimates
+
+    gas = estimates.physics(job)
+    if gas is None:
+        yield _row("collisions", "none: free transport")
+        return
+    yield _row("collision time", _range(gas.collision_time))
+    yield _row("mean free path", _range(gas.mean_free_path))
+    if not isnan(gas.knudsen):
+        yield _row(
+            "Knudsen number",
+            f"{gas.knudsen:.4g}: mean free path of the mean state / shortest side (collision.knudsen = "
+            f"{job.collision.knudsen:g})",
+        )
+        yield _row("cells per mean path", f"{gas.cells_per_mean_free_path:.3g} in the mean state")
+    if gas.haff_time < inf:
+        yield _row(
+            "cooling", f"temperature falls to a quarter in t = {gas.haff_time:.4g} (Haff's law, mean state)"
+        )
+
+
+def _range(values: Any) -> str:
+    if values.high <= values.low * (1 + 1e-9):
+        return f"{values.mean:.4g}"
+    return f"{values.mean:.4g} on average, {values.low:.4g} to {values.high:.4g}"
+
+
+def _velocity_lines(job: Job) -> Iterator[str]:
+    from rvm_mpi import estimates
+
+    of = "T" if job.scaling.kind == "none" else "T_g"
+    grid = list(zip("xyz", job.velocity.points, job.velocity.half_width, strict=False))
+    least = ", ".join(f"{axis} {estimates.least_temperature(n, width):.4g}" for axis, n, width in grid)
+    sampled = ", ".join(f"{axis} {estimates.sampling_limit(n, width):.4g}" for axis, n, width in grid)
+    yield _row(f"smallest {of}", f"{estimates.smallest_temperature(job):.4g}, along each direction {least}")
+    yield _row(
+        "  sampled within 1 %", f"down to {sampled}; below, Gaussians live on their discrete correction"
+    )
+    mach = estimates.largest_mach(job)
+    if job.scaling.kind != "none" and mach < inf:
+        yield _row("  flows up to", f"Mach {mach:.3g}: faster ones leave too little of omega^2 to T_g")
+
+
+# --- info and bench
+
+
+def _info(options: argparse.Namespace) -> int:
+    from rvm_mpi import rundir
+    from rvm_mpi.runinfo import describe_run
+
+    path = options.directory
+    if not path.is_dir() or not rundir.holds_run(path):
+        raise JobError(f"{path}: {'holds no run' if path.is_dir() else 'no such directory'}")
+    if failures.launched_rank() == 0:
+        print("\n".join(describe_run(path)), flush=True)
+    return 0
+
+
+def _bench(options: argparse.Namespace) -> int:
+    from rvm_mpi.bench import run_bench
+
+    run_bench(cells=tuple(options.cells), velocity=tuple(options.velocity), json=options.json)
+    return 0

@@ -1,0 +1,402 @@
+"""What can be said of a job before it runs: whether its velocity box fits, memory, steps, time, physics.
+
+Estimates look at the initial state alone and say so; nothing here starts MPI.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import ceil, gamma, inf, isfinite, log1p, prod, sqrt
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from rvm_mpi import kinetic_theory
+from rvm_mpi.job_text import JobError
+from rvm_mpi.states import macroscopic_state
+
+if TYPE_CHECKING:
+    from rvm_mpi.job import Job
+
+LIBRARIES = 250e6
+"""Bytes a process holds before it has any array: Python, numpy, numba and its kernels, PETSc, MPI, HDF5."""
+SECONDS_PER_CELL = 3e-9
+"""Nominal time of one stage for one phase-space cell on one core; `rvm bench` measures a machine's own."""
+STAGES = 2
+GHOSTS_OF_G = 2
+GHOSTS_OF_FLUID = 3
+LANES = 8
+STANDARD_DEVIATIONS = 3.0
+"""A box must hold the state this many thermal speeds around its mean velocity: one in 400 lies outside."""
+ROWS_AT_ONCE = 2**18
+"""Cells whose initial state is looked at together, so that large grids need little memory here."""
+
+
+@dataclass(frozen=True)
+class StartFields:
+    """The initial state on the whole grid, in arrays (ny, nx) and, per velocity direction, (ny, nx, d)."""
+
+    density: np.ndarray
+    temperature: np.ndarray
+    velocity: np.ndarray
+    thermal: np.ndarray
+    """Square root of the diagonal of the temperature tensor."""
+    omega: np.ndarray
+
+
+def start_fields(job: Job) -> StartFields:
+    """The initial density, temperature, velocity and omega of every cell."""
+    nx, ny = (*job.space.cells, 1, 1)[:2]
+    rows = max(1, ROWS_AT_ONCE // nx)
+    parts = []
+    for j in range(0, ny, rows):
+        density, velocity, stress = macroscopic_state(job, 0, nx, j, min(ny, j + rows))
+        parts.append((density, velocity, np.diagonal(stress, axis1=-2, axis2=-1).copy()))
+    density, velocity, variance = (np.concatenate(part) for part in zip(*parts, strict=True))
+    temperature = variance.mean(-1)
+    if job.scaling.kind == "none":
+        omega = np.ones_like(temperature)
+    else:
+        omega = np.sqrt(temperature + (velocity**2).mean(-1))
+    return StartFields(density, temperature, velocity, np.sqrt(variance), omega)
+
+
+# --- the velocity grid
+
+
+def least_temperature(points: int, half_width: float, mean: float = 0.0) -> float:
+    """The smallest variance that numbers on the nodes of one direction can have about a mean.
+
+    With all weight on the two nodes around the mean it is their distances' product: at rest (h/2)^2 for an
+    even number of points, 0 for an odd one. Infinite outside the box.
+    """
+    h = 2 * half_width / points
+    position = (mean + half_width) / h - 0.5
+    if not 0 <= position <= points - 1:
+        return inf
+    below = position - np.floor(position)
+    return float(h**2 * below * (1 - below))
+
+
+def sampled_temperature(points: int, half_width: float, temperature: float) -> float:
+    """Variance of a Gaussian at rest as sampled on the nodes of one direction, without any correction."""
+    h = 2 * half_width / points
+    nodes = (2 * np.arange(points) + 1 - points) * (0.5 * h)
+    weights = np.exp(-0.5 * (nodes**2 - (nodes**2).min()) / temperature)
+    return float((weights * nodes**2).sum() / weights.sum())
+
+
+def sampling_limit(points: int, half_width: float, error: float = 0.01) -> float:
+    """Temperature below which a sampled Gaussian's variance is wrong by more than `error`; inf if all are."""
+    h = 2 * half_width / points
+    trials = np.geomspace((half_width / 4) ** 2, (h / 10) ** 2, 400)
+    limit = inf
+    for trial in trials:
+        if abs(sampled_temperature(points, half_width, trial) / trial - 1) > error:
+            return limit
+        limit = float(trial)
+    return limit
+
+
+def smallest_temperature(job: Job) -> float:
+    """Smallest temperature at rest that the velocity grid can hold: of g, of f where nothing is rescaled."""
+    velocity = job.velocity
+    axes = zip(velocity.points, velocity.half_width, strict=True)
+    return sum(least_temperature(points, width) for points, width in axes) / velocity.dimensions
+
+
+def largest_mach(job: Job) -> float:
+    """The Mach number at which omega^2 = T + |u|^2/d makes T_g the smallest the grid can hold."""
+    d, smallest = job.velocity.dimensions, smallest_temperature(job)
+    if smallest >= 1:
+        return 0.0
+    if smallest == 0:
+        return inf
+    return sqrt(d * (1 / smallest - 1) * d / (d + 2))
+
+
+def check_box(job: Job) -> None:
+    """Refuse a velocity grid too small or too coarse for the initial state (unscaled: or for a wall's gas).
+
+    Raises
+    ------
+    JobError
+        Naming the direction and the half width or the number of points that would do.
+    """
+    start = start_fields(job)
+    scale = start.omega[..., None]
+    _check_width(job, "the initial state", start.velocity / scale, start.thermal / scale)
+    least = np.zeros(start.omega.shape)
+    for axis, (points, width) in enumerate(zip(job.velocity.points, job.velocity.half_width, strict=True)):
+        h = 2 * width / points
+        position = (start.velocity[..., axis] / start.omega + width) / h - 0.5
+        least += h**2 * (position % 1.0) * (1 - position % 1.0) / job.velocity.dimensions
+    too_cold = least > start.temperature / start.omega**2
+    if too_cold.any():
+        cell = np.unravel_index(np.argmax(least - start.temperature / start.omega**2), least.shape)
+        raise JobError(
+            f"velocity.points: too few for the initial state (value {list(job.velocity.points)}): they hold "
+            f"no temperature below {least[cell]:.4g} at its mean velocity, it needs "
+            f"{start.temperature[cell] / start.omega[cell] ** 2:.4g}"
+        )
+    if job.scaling.kind == "none":
+        for name, side in job.space.sides.items():
+            if side.temperature is not None and side.velocity is not None:
+                thermal = np.full(job.velocity.dimensions, sqrt(side.temperature))
+                _check_width(job, f"the gas from {name}", np.array(side.velocity), thermal)
+
+
+def _check_width(job: Job, what: str, mean: np.ndarray, thermal: np.ndarray) -> None:
+    reach = np.abs(mean) + STANDARD_DEVIATIONS * thermal
+    needed = reach.reshape(-1, reach.shape[-1]).max(0)
+    for axis, width in enumerate(job.velocity.half_width):
+        if needed[axis] > width:
+            raise JobError(
+                f"velocity.half_width: too small for {what} (value {list(job.velocity.half_width)}; allowed "
+                f"at least {_rounded_up(float(needed[axis]))} along {'xyz'[axis]}: {STANDARD_DEVIATIONS:g} "
+                "thermal speeds around its mean velocity)"
+            )
+
+
+def _rounded_up(value: float) -> float:
+    return ceil(value * 100) / 100
+
+
+# --- memory, steps, time
+
+
+@dataclass(frozen=True)
+class Memory:
+    """Bytes of one rank, the largest one."""
+
+    g: float
+    """Two ghosted copies of g."""
+    fluxes: float
+    """A row of fluxes and the cells in hand."""
+    fields: float
+    """Macroscopic fields: moments, omega, the fluid system's stages, what is written."""
+    libraries: float
+
+    @property
+    def total(self) -> float:
+        """All of it."""
+        return self.g + self.fluxes + self.fields + self.libraries
+
+
+def memory(job: Job, ranks: int = 1) -> Memory:
+    """Memory of the rank that owns the most cells.
+
+    Raises
+    ------
+    JobError
+        If so many ranks cannot share the cells.
+    """
+    from rvm_mpi.domain import partition
+
+    split = partition(job.space.cells, ranks)
+    d = job.velocity.dimensions
+    n_x, n_y = (ceil(n / p) for n, p in zip((*job.space.cells, 1, 1), split, strict=False))
+    block = cell_block(job.velocity.points)
+
+    def ghosted(width: int) -> int:
+        wx = width if job.space.dimensions >= 1 else 0
+        wy = width if job.space.dimensions == 2 else 0
+        return (n_x + 2 * wx) * (n_y + 2 * wy)
+
+    per_cell = 4 * (d + 2) + d * (d + 3) + 20
+    return Memory(
+        g=2 * 8.0 * ghosted(GHOSTS_OF_G) * block,
+        fluxes=8.0 * (n_x + 4) * block if job.space.dimensions == 2 else 8.0 * 4 * block,
+        fields=8.0 * ghosted(GHOSTS_OF_FLUID) * per_cell,
+        libraries=LIBRARIES,
+    )
+
+
+def cell_block(points: tuple[int, ...]) -> int:
+    """Doubles that hold the velocities of one cell: each slab of (y, z) padded to whole vectors."""
+    slab = prod(points[1:])
+    return points[0] * ceil(slab / LANES) * LANES
+
+
+@dataclass(frozen=True)
+class FirstStep:
+    """The first time step as far as the initial state alone decides it."""
+
+    dt: float
+    limit: str
+    """Which limit binds, in words."""
+    transport_rate: float
+    """Sum over the space directions of omega V / dx, largest over the cells."""
+    drift_rate: float
+    """Sum over the velocity directions of |a| / h, largest over the cells."""
+    cooling_rate: float
+    """|d ln E/dt|, largest over the cells."""
+
+
+def first_step(job: Job) -> FirstStep:
+    """The first step: dt = cfl / max over cells of sum omega V / dx + sum |a| / h, and the other limits.
+
+    a takes grad omega from differences of neighbouring cells, and d_t omega to cancel the cooling's drag.
+    """
+    start = start_fields(job)
+    velocity, space, d = job.velocity, job.space, job.velocity.dimensions
+    drift = np.zeros(start.omega.shape)
+    transport = np.zeros(start.omega.shape)
+    for axis in range(space.dimensions):
+        transport += start.omega * velocity.half_width[axis] / space.spacing[axis]
+        drift += velocity.half_width[axis] * np.abs(_slope(start.omega, axis, job))
+    per_spacing = [width / h for width, h in zip(velocity.half_width, velocity.spacing, strict=True)]
+    drift *= sum(per_spacing)
+    haff = job.collision.cooling * start.density * np.sqrt(start.temperature)
+    if job.scaling.kind == "none":
+        for axis, h in enumerate(velocity.spacing):
+            drift += haff * (velocity.half_width[axis] + np.abs(start.velocity[..., axis])) / h
+    energy = d * start.temperature + (start.velocity**2).sum(-1)
+    cooling = float((2 * haff * d * start.temperature / energy).max())
+    fluid = _fluid_rate(job, start)
+
+    limits = {"time.end: nothing else limits the step": job.time.end}
+    if job.time.dt is not None:
+        limits = {"time.dt": job.time.dt}
+    else:
+        assert job.time.cfl is not None
+        rate = float((transport + drift).max())
+        worst = np.unravel_index(np.argmax(transport + drift), drift.shape)
+        mostly = "transport in space" if transport[worst] >= drift[worst] else "drift in velocity"
+        limits[f"time.cfl, mostly {mostly}"] = job.time.cfl / rate if rate > 0 else inf
+        limits["cooling (a tenth of the energy a step)"] = 0.1 / cooling if cooling > 0 else inf
+        if job.fluid.enabled:
+            limits["the fluid system's waves"] = 0.5 / fluid if fluid > 0 else inf
+    limit = min(limits, key=limits.__getitem__)
+    return FirstStep(limits[limit], limit, float(transport.max()), float(drift.max()), cooling)
+
+
+def _slope(omega: np.ndarray, axis: int, job: Job) -> np.ndarray:
+    """Centred differences of omega along x (0) or y (1), one-sided at a boundary that is not periodic."""
+    array_axis, h = 1 - axis, job.space.spacing[axis]
+    if job.space.periodic(axis):
+        return (np.roll(omega, -1, array_axis) - np.roll(omega, 1, array_axis)) / (2 * h)
+    return np.asarray(np.gradient(omega, h, axis=array_axis))
+
+
+def _fluid_rate(job: Job, start: StartFields) -> float:
+    d = job.velocity.dimensions
+    sound = np.sqrt((d + 2) / d * start.temperature)
+    rate = np.zeros(start.omega.shape)
+    for axis, h in enumerate(job.space.spacing):
+        rate += (np.abs(start.velocity[..., axis]) + sound) / h
+    return float(rate.max())
+
+
+def steps(job: Job) -> float:
+    """Number of steps to `time.end`: the first one, where rescaled growing as the gas cools by Haff's law."""
+    first, end = first_step(job), job.time.end
+    number = end / first.dt
+    if job.scaling.kind != "none" and job.time.dt is None and not job.collision.elastic:
+        start = start_fields(job)
+        haff = job.collision.cooling * float((start.density * np.sqrt(start.temperature)).mean())
+        number = log1p(haff * end) / haff / first.dt
+    if job.time.max_steps is not None:
+        number = min(number, job.time.max_steps)
+    return max(1.0, number)
+
+
+def run_seconds(job: Job, ranks: int = 1, seconds_per_cell: float = SECONDS_PER_CELL) -> float:
+    """Wall-clock seconds of a run on so many cores, from the steps and a nominal speed."""
+    cells = prod(job.space.cells) * prod(job.velocity.points)
+    return steps(job) * STAGES * cells * seconds_per_cell / ranks
+
+
+# --- physics
+
+
+@dataclass(frozen=True)
+class Range:
+    """Smallest, mean and largest value over the cells."""
+
+    low: float
+    mean: float
+    high: float
+
+    @classmethod
+    def of(cls, values: np.ndarray) -> Range:
+        """The range of an array."""
+        return cls(float(values.min()), float(values.mean()), float(values.max()))
+
+
+@dataclass(frozen=True)
+class Physics:
+    """Scales of the gas at the start; empty where it has no collisions."""
+
+    collision_time: Range
+    mean_free_path: Range
+    knudsen: float
+    """Mean free path at mean density and temperature over the domain's shortest side; nan without space."""
+    cells_per_mean_free_path: float
+    """The same mean free path over the widest cell; nan without space."""
+    haff_time: float
+    """1/(cooling rho sqrt T) at mean density and temperature: T falls to a quarter; inf where elastic."""
+
+
+def physics(job: Job) -> Physics | None:
+    """Mean free path, collision time and their relation to the grid at the start; None without collisions.
+
+    The collision frequency of the ES-BGK family is its relaxation rate, that of a Boltzmann kernel its loss
+    rate in a Maxwellian; the mean free path is the mean thermal speed times the collision time.
+    """
+    if job.collision.operator == "none":
+        return None
+    start = start_fields(job)
+    frequency = collision_frequency(job, start.density, start.temperature)
+    speed = mean_speed(job.velocity.dimensions, start.temperature)
+    density, temperature = start.density.mean(keepdims=True), start.temperature.mean(keepdims=True)
+    typical_frequency = collision_frequency(job, density, temperature)
+    path = float((mean_speed(job.velocity.dimensions, temperature) / typical_frequency).item())
+    cooling = job.collision.cooling * float(density.item()) * sqrt(temperature.item())
+    space = job.space
+    return Physics(
+        collision_time=Range.of(1 / frequency),
+        mean_free_path=Range.of(speed / frequency),
+        knudsen=path / min(space.length) if space.dimensions else float("nan"),
+        cells_per_mean_free_path=path / max(space.spacing) if space.dimensions else float("nan"),
+        haff_time=1 / cooling if cooling > 0 else inf,
+    )
+
+
+def mean_speed(dimensions: int, temperature: np.ndarray) -> np.ndarray:
+    """Mean of |v| in a Maxwellian at rest: sqrt(2 T) Gamma((d+1)/2) / Gamma(d/2)."""
+    d = dimensions
+    return np.sqrt(2 * temperature) * (gamma((d + 1) / 2) / gamma(d / 2))
+
+
+def collision_frequency(job: Job, density: np.ndarray, temperature: np.ndarray) -> np.ndarray:
+    """Collisions per unit time, Knudsen number included."""
+    collision, d = job.collision, job.velocity.dimensions
+    assert collision.knudsen is not None
+    if collision.relaxation is not None:
+        law = collision.relaxation
+        rate = law.coefficient * density**law.density_power * temperature**law.temperature_power
+    else:
+        assert collision.cross_section is not None and collision.exponent is not None
+        power = collision.exponent
+        mean_power = (4 * temperature) ** (power / 2) * gamma((d + power) / 2) / gamma(d / 2)
+        rate = density * collision.cross_section * kinetic_theory.sphere_area(d) * mean_power
+    return rate / collision.knudsen
+
+
+def duration_in_words(seconds: float) -> str:
+    """A rough duration: "12 s", "5 min", "3.5 h", "2 days"."""
+    if not isfinite(seconds):
+        return "for ever"
+    for unit, length in (("days", 86400.0), ("h", 3600.0), ("min", 60.0)):
+        if seconds >= 2 * length:
+            return f"{seconds / length:.1f} {unit}"
+    return f"{seconds:.2g} s"
+
+
+def bytes_in_words(size: float) -> str:
+    """A size: "12 MB", "3.4 GB"."""
+    for unit, length in (("TB", 1e12), ("GB", 1e9), ("MB", 1e6)):
+        if size >= length:
+            return f"{size / length:.3g} {unit}"
+    return f"{size / 1e3:.3g} kB"

@@ -1,0 +1,94 @@
+"""What a run directory holds, in words: the job, how far it got, what is stored, what made it, its health."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from rvm_mpi import rundir
+from rvm_mpi.job import Job, JobError
+
+SHOWN_ATTRIBUTES = (
+    "version", "git_commit", "started", "ranks", "machine", "python", "numpy", "numba", "mpi4py", "petsc4py",
+    "h5py", "mpi", "petsc", "hdf5",
+)  # fmt: skip
+
+
+def describe_run(path: Path) -> Iterator[str]:
+    """Lines on the run in a directory; whatever part of it is missing or broken is said to be."""
+    job = None
+    try:
+        job = Job.from_file(path / "job.toml")
+        yield _row("job", _job(job))
+    except JobError as error:
+        yield _row("job", str(error))
+    yield from _history_lines(path, job)
+    yield from _field_lines(path)
+    names = [p.name for p in rundir.checkpoints(path)]
+    yield _row("checkpoints", ", ".join(names) or "none")
+
+
+def _row(name: str, text: str) -> str:
+    return f"{name:<14}{text}"
+
+
+def _job(job: Job) -> str:
+    cells = " x ".join(map(str, job.space.cells)) or "no space"
+    points = " x ".join(map(str, job.velocity.points))
+    title = f"{job.title}: " if job.title else ""
+    return (
+        f"{title}{job.initial.state}, {cells} cells, {points} velocities, {job.collision.operator}, "
+        f"scaling {job.scaling.kind}"
+    )
+
+
+def _history_lines(path: Path, job: Job | None) -> Iterator[str]:
+    from rvm_mpi.results import read_history
+
+    try:
+        history = read_history(path)
+    except (OSError, ValueError, IndexError) as error:
+        yield _row("progress", f"no history: {error}")
+        return
+    rows = len(history["time"]) if "time" in history else 0
+    if rows == 0:
+        yield _row("progress", "no step yet")
+        return
+    time, step = float(history["time"][-1]), int(history["step"][-1])
+    end = f" of {job.time.end:g} ({100 * time / job.time.end:.1f} %)" if job else ""
+    yield _row("progress", f"step {step}, t = {time:.6g}{end}")
+    yield _row("health", _health(history))
+
+
+def _health(history: dict[str, np.ndarray]) -> str:
+    """The worst of what the history records."""
+    broken = [name for name, values in history.items() if np.isinf(values).any() or np.isnan(values[-1])]
+    words = [f"not a number in {', '.join(broken)}"] if broken else ["all numbers finite"]
+    if "mass" in history:
+        mass = history["mass"]
+        words.append(f"mass changed by {mass[-1] / mass[0] - 1:+.2e}")
+    if {"min_g", "max_g"} <= history.keys():
+        words.append(f"smallest g {np.nanmin(history['min_g'] / history['max_g']):.1e} of the largest")
+    if "mean_temperature" in history:
+        temperature = history["mean_temperature"]
+        words.append(f"mean temperature {temperature[0]:.6g} to {temperature[-1]:.6g}")
+    return "; ".join(words)
+
+
+def _field_lines(path: Path) -> Iterator[str]:
+    from rvm_mpi.results import open_run
+
+    try:
+        fields = open_run(path)
+    except (OSError, KeyError, ValueError) as error:
+        yield _row("snapshots", f"none: {' '.join(str(error).split())}")
+        return
+    times = fields["time"].values
+    listed = ", ".join(f"{time:g}" for time in times) or "none yet"
+    yield _row("snapshots", f"{len(times)}: t = {listed}" if len(times) else listed)
+    yield _row("fields", ", ".join(sorted(str(name) for name in fields.data_vars)))
+    for name in SHOWN_ATTRIBUTES:
+        if name in fields.attrs:
+            yield _row(name, str(fields.attrs[name]))
