@@ -1,0 +1,326 @@
+"""Gaussian relaxation, elastic and granular: tau (G[f] - f), and the discrete Gaussian G it relaxes to.
+
+The Gaussian sampled on a coarse velocity grid has wrong moments, so the discrete one is the positive grid function
+exp(quadratic in xi) whose ten moments (mass, momentum, second moments) are those wanted, found with Newton's
+method. A grid cannot hold every temperature tensor: along an axis with nodes x_j <= u <= x_{j+1} around the mean no
+positive grid function has less variance than (u - x_j)(x_{j+1} - u). Where that forbids the tensor, the variance of
+that axis is raised to what can be held and the other axes give the difference, which keeps rho, u and T.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from rvm_mpi.kinetic.conservation import about_origin, solve
+from rvm_mpi.simd import KERNEL, exponential, load, splat, store, total
+from rvm_mpi.velocity import VALID, Y, Z
+
+#: relative mismatch of the ten moments at which Newton's iteration rests
+TOLERANCE = 2e-13
+#: mismatch from which another step is not needed where it no longer falls
+ACCEPTED = 1e-11
+NEWTON_STEPS = 40
+#: room above the smallest variance, in units of h^2, that keeps Newton's matrix well conditioned
+ROOM = 0.01
+
+#: result of `discrete_gaussian`: the tensor was met; it was replaced by the nearest one; not even T can be held; failed
+EXACT, REPLACED, TOO_COLD, FAILED = 0, 1, 2, 3
+
+# exponents of (x, y, z) in 1, x, y, z, xx, xy, xz, yy, yz, zz
+_EXPONENTS = np.array(
+    [(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1), (2, 0, 0), (1, 1, 0), (1, 0, 1), (0, 2, 0), (0, 1, 1), (0, 0, 2)],
+    dtype=np.int64,
+)
+# the pairs (p, q) of exponents of y and z that occur with the powers 0..4 of x, and where their sums are kept
+_PLANE = [(p, q) for p in range(5) for q in range(5 - p)]
+_PLANE_EXPONENTS = np.array(_PLANE, dtype=np.int64)
+_PLACE = np.full((5, 5), -1, dtype=np.int64)
+for _index, (_p, _q) in enumerate(_PLANE):
+    _PLACE[_p, _q] = _index
+_PLANE_COUNT = len(_PLANE)
+#: place in the (5, 15) table of sums of the product of two of the ten monomials
+_PRODUCT = np.array(
+    [
+        [(a[0] + b[0]) * _PLANE_COUNT + _PLACE[a[1] + b[1], a[2] + b[2]] for b in _EXPONENTS]
+        for a in _EXPONENTS
+    ],
+    dtype=np.int64,
+)
+
+
+@njit(**KERNEL)
+def smallest_variance(nodes, count, mean):  # type: ignore[no-untyped-def]
+    """The least variance a positive function on these nodes can have with this mean; negative outside the nodes."""
+    if count == 1:
+        return 0.0
+    h = nodes[1] - nodes[0]
+    j = int((mean - nodes[0]) / h)
+    j = min(max(j, 0), count - 2)
+    return (mean - nodes[j]) * (nodes[j + 1] - mean)
+
+
+@njit(**KERNEL)
+def fit_axis(nodes, count, mean, variance, result):  # type: ignore[no-untyped-def]
+    """exp(b s + a s^2), s = node - mean, with the given mean and variance on the nodes of one axis.
+
+    Newton's method from the continuous Gaussian; `result` receives a, b and the sum over the nodes, of the best found.
+    """
+    a, b = -0.5 / variance, 0.0
+    result[0], result[1], result[2] = a, b, 1.0
+    smallest = math.inf
+    for _ in range(12):
+        m0, m1, m2, m3, m4 = 0.0, 0.0, 0.0, 0.0, 0.0
+        for j in range(count):
+            s = nodes[j] - mean
+            w = math.exp(min(s * (b + a * s), 600.0))
+            m0 += w
+            w *= s
+            m1 += w
+            w *= s
+            m2 += w
+            w *= s
+            m3 += w
+            m4 += w * s
+        if not (m0 > 0.0 and m0 < 1e300):
+            return
+        m1, m2, m3, m4 = m1 / m0, m2 / m0, m3 / m0, m4 / m0
+        off = abs(m1) / math.sqrt(variance) + abs(m2 / variance - 1.0)
+        if off < smallest:
+            smallest = off
+            result[0], result[1], result[2] = a, b, m0
+        if off < 1e-13:
+            return
+        # derivatives of (m1, m2) by (b, a) are covariances
+        c11, c12, c22 = m2 - m1 * m1, m3 - m1 * m2, m4 - m2 * m2
+        det = c11 * c22 - c12 * c12
+        if not det > 0.0:
+            return
+        r1, r2 = -m1, variance - m2
+        da = (c11 * r2 - c12 * r1) / det
+        limit = 0.5 * max(abs(a), 0.5 / variance)
+        shorter = 1.0 if abs(da) <= limit else limit / abs(da)
+        a += shorter * da
+        b += shorter * (c22 * r1 - c12 * r2) / det
+
+
+@njit(**KERNEL)
+def gaussian_sums(theta, centre, points_x, slab_size, x, slab, block, sums, plane, vectors):  # type: ignore[no-untyped-def]
+    """block = exp(theta . m(xi - centre)), m = 1, x, y, z, xx, xy, xz, yy, yz, zz, and its sums to fourth order.
+
+    `sums` (5, 15) receives the sum of x^p y^q z^r at [p, place of (q, r)]; `plane` (75, 8) and `vectors`
+    (15, 8) are work space. The exponent is kept within the range of doubles.
+    """
+    zero = splat(0.0)
+    for q in range(75):
+        store(plane, 8 * q, zero)
+    for n in range(0, slab_size, 8):
+        y = load(slab, Y * slab_size + n) - splat(centre[1])
+        z = load(slab, Z * slab_size + n) - splat(centre[2])
+        valid = load(slab, VALID * slab_size + n)
+        base = splat(theta[0]) + y * (splat(theta[2]) + y * theta[7]) + z * (splat(theta[3]) + z * theta[9] + y * theta[8])
+        tilt = splat(theta[1]) + y * theta[5] + z * theta[6]
+        a0, a1, a2, a3, a4 = zero, zero, zero, zero, zero
+        for k in range(points_x):
+            s = x[k] - centre[0]
+            value = exponential(base + tilt * s + splat(theta[4] * s * s)) * valid
+            store(block, k * slab_size + n, value)
+            t = value * s
+            a0 = a0 + value
+            a1 = a1 + t
+            t = t * s
+            a2 = a2 + t
+            t = t * s
+            a3 = a3 + t
+            a4 = a4 + t * s
+        one = splat(1.0)
+        y2, z2 = y * y, z * z
+        w = one
+        for p in range(5):
+            t = w
+            for q in range(5 - p):
+                place = 8 * _PLACE[p, q]
+                order = p + q
+                store(plane, place, load(plane, place) + a0 * t)
+                if order <= 3:
+                    store(plane, 120 + place, load(plane, 120 + place) + a1 * t)
+                if order <= 2:
+                    store(plane, 240 + place, load(plane, 240 + place) + a2 * t)
+                if order <= 1:
+                    store(plane, 360 + place, load(plane, 360 + place) + a3 * t)
+                if order == 0:
+                    store(plane, 480 + place, load(plane, 480 + place) + a4 * t)
+                t = t * z
+            w = w * y
+    for p in range(5):
+        for q in range(15):
+            if p + _PLANE_EXPONENTS[q, 0] + _PLANE_EXPONENTS[q, 1] <= 4:
+                sums[15 * p + q] = total(load(plane, 8 * (15 * p + q)))
+
+
+@njit(**KERNEL)
+def realisable_tensor(density, mean, tensor, dimensions, points, nodes):  # type: ignore[no-untyped-def]
+    """Bring a temperature tensor within what the grid can hold, in place, keeping its trace.
+
+    `tensor` is (xx, xy, xz, yy, yz, zz). Returns EXACT, REPLACED, or TOO_COLD where not even the trace can be held.
+    """
+    diagonal = (0, 3, 5)
+    short, slack = 0.0, 0.0
+    for i in range(dimensions):
+        h = nodes[i, 1] - nodes[i, 0] if points[i] > 1 else 1.0
+        if not abs(mean[i]) < nodes[i, points[i] - 1]:
+            return TOO_COLD
+        floor = smallest_variance(nodes[i], points[i], mean[i]) + ROOM * h * h
+        room = tensor[diagonal[i]] - floor
+        if room < 0.0:
+            short -= room
+        else:
+            slack += room
+    if short == 0.0:
+        return EXACT
+    if slack <= short:
+        return TOO_COLD
+    keep = 1.0 - short / slack
+    shrink = (1.0, 1.0, 1.0)
+    for i in range(dimensions):
+        h = nodes[i, 1] - nodes[i, 0] if points[i] > 1 else 1.0
+        floor = smallest_variance(nodes[i], points[i], mean[i]) + ROOM * h * h
+        room = tensor[diagonal[i]] - floor
+        if room < 0.0:
+            tensor[diagonal[i]] = floor
+            shrink = (0.0 if i == 0 else shrink[0], 0.0 if i == 1 else shrink[1], 0.0 if i == 2 else shrink[2])
+        else:
+            tensor[diagonal[i]] = floor + keep * room
+    # no correlation with an axis at its least variance; what the others lose they lose in proportion
+    tensor[1] *= shrink[0] * shrink[1] * keep
+    tensor[2] *= shrink[0] * shrink[2] * keep
+    tensor[4] *= shrink[1] * shrink[2] * keep
+    return REPLACED
+
+
+@njit(**KERNEL)
+def determinant(t, dimensions):  # type: ignore[no-untyped-def]
+    """Determinant of the first `dimensions` axes of a tensor (xx, xy, xz, yy, yz, zz)."""
+    if dimensions == 1:
+        return t[0]
+    if dimensions == 2:
+        return t[0] * t[3] - t[1] * t[1]
+    xx, xy, xz, yy, yz, zz = t[0], t[1], t[2], t[3], t[4], t[5]
+    return xx * (yy * zz - yz * yz) - xy * (xy * zz - yz * xz) + xz * (xy * yz - yy * xz)
+
+
+@njit(**KERNEL)
+def invert_tensor(t, dimensions, inverse):  # type: ignore[no-untyped-def]
+    """Inverse of a tensor (xx, xy, xz, yy, yz, zz) in its first `dimensions` axes, else 0; False if not positive."""
+    det = determinant(t, dimensions)
+    if not (t[0] > 0.0 and determinant(t, min(dimensions, 2)) > 0.0 and det > 0.0):
+        return False
+    xx, xy, xz, yy, yz, zz = t[0], t[1], t[2], t[3], t[4], t[5]
+    for i in range(6):
+        inverse[i] = 0.0
+    if dimensions == 1:
+        inverse[0] = 1.0 / xx
+    elif dimensions == 2:
+        inverse[0], inverse[1], inverse[3] = yy / det, -xy / det, xx / det
+    else:
+        inverse[0] = (yy * zz - yz * yz) / det
+        inverse[1] = (xz * yz - xy * zz) / det
+        inverse[2] = (xy * yz - xz * yy) / det
+        inverse[3] = (xx * zz - xz * xz) / det
+        inverse[4] = (xy * xz - xx * yz) / det
+        inverse[5] = (xx * yy - xy * xy) / det
+    return True
+
+
+@njit(**KERNEL)
+def discrete_gaussian(density, mean, tensor, dimensions, points, slab_size, x, slab, nodes, work, block, moments):  # type: ignore[no-untyped-def]
+    """The positive grid function exp(quadratic) with the given sums, mean and temperature tensor.
+
+    Parameters
+    ----------
+    density : float
+        The sum over the nodes (not yet multiplied by the volume of a velocity cell).
+    mean : (3,) array
+        Mean of xi.
+    tensor : (6,) array
+        Covariance xx, xy, xz, yy, yz, zz; replaced by the nearest one that the grid can hold where it must be.
+    nodes : (3, longest axis) array
+        Nodes of each axis.
+    work : tuple of arrays
+        theta (10,), sums (75,), plane (600,), matrix (10, 10), vectors (5, 10).
+    block : (points_x * slab_size,) array
+        Receives the Gaussian.
+    moments : (10,) array
+        Receives its sums of 1, xi, xi xi about the origin, as they are.
+
+    Returns
+    -------
+    int
+        EXACT, REPLACED, TOO_COLD or FAILED.
+    """
+    theta, sums, plane, matrix, vectors = work
+    step, wanted, scale, fit, inverse = vectors[0], vectors[1], vectors[2], vectors[3], vectors[4]
+    status = realisable_tensor(density, mean, tensor, dimensions, points, nodes)
+    if status == TOO_COLD:
+        return TOO_COLD
+    if not invert_tensor(tensor, dimensions, inverse):
+        return FAILED
+    diagonal = (0, 3, 5)
+    for i in range(10):
+        theta[i] = 0.0
+    theta[4], theta[5], theta[6] = -0.5 * inverse[0], -inverse[1], -inverse[2]
+    theta[7], theta[8], theta[9] = -0.5 * inverse[3], -inverse[4], -0.5 * inverse[5]
+    # on each axis what its own grid needs; the determinants give the sum of the correlated Gaussian
+    theta[0] = math.log(density)
+    for i in range(dimensions):
+        variance = tensor[diagonal[i]]
+        fit_axis(nodes[i], points[i], mean[i], variance, fit)
+        place = 4 if i == 0 else (7 if i == 1 else 9)
+        theta[place] += fit[0] + 0.5 / variance
+        theta[1 + i] = fit[1]
+        theta[0] -= math.log(fit[2]) - 0.5 * math.log(variance)
+    theta[0] -= 0.5 * math.log(determinant(tensor, dimensions))
+    wanted[0] = density
+    wanted[1], wanted[2], wanted[3] = 0.0, 0.0, 0.0
+    scale[0] = density
+    for i in range(3):
+        scale[1 + i] = density * math.sqrt(tensor[diagonal[i]]) if i < dimensions else 1.0
+    for i in range(6):
+        wanted[4 + i] = density * tensor[i]
+    scale[4] = scale[1] * scale[1] / density
+    scale[5] = scale[1] * scale[2] / density
+    scale[6] = scale[1] * scale[3] / density
+    scale[7] = scale[2] * scale[2] / density
+    scale[8] = scale[2] * scale[3] / density
+    scale[9] = scale[3] * scale[3] / density
+    previous = math.inf
+    damping = 1.0
+    for attempt in range(NEWTON_STEPS):
+        gaussian_sums(theta, mean, points[0], slab_size, x, slab, block, sums, plane, vectors)
+        mismatch = 0.0
+        for i in range(10):
+            step[i] = wanted[i] - sums[_PRODUCT[0, i]]
+            mismatch = max(mismatch, abs(step[i]) / scale[i])
+        if not mismatch < 1e200:
+            return FAILED
+        if mismatch <= TOLERANCE or (mismatch <= ACCEPTED and mismatch >= 0.5 * previous):
+            for i in range(10):
+                moments[i] = sums[_PRODUCT[0, i]]
+            about_origin(moments, mean)
+            return status
+        damping = 0.5 * damping if mismatch > previous else min(1.0, 2.0 * damping)
+        previous = mismatch
+        for i in range(10):
+            for j in range(i + 1):
+                matrix[i, j] = sums[_PRODUCT[i, j]]
+        if not solve(matrix, step, 10):
+            return FAILED
+        reach = abs(step[0])
+        for i in range(1, 10):
+            reach += 3.0 * abs(step[i]) * scale[i] / density
+        shorter = damping if reach <= 3.0 else damping * 3.0 / reach
+        for i in range(10):
+            theta[i] += shorter * step[i]
+    return FAILED

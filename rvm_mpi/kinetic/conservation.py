@@ -1,0 +1,224 @@
+"""Moments of a block, and the correction of g that makes its mass, momentum and energy exact.
+
+The correction multiplies g by exp(c0 + c . (xi - u) + c2 |xi - u|^2): positive, and a product of factors of one axis
+each. Its d + 2 coefficients come from a few Newton steps on the moments themselves.
+"""
+
+from __future__ import annotations
+
+import math
+
+from numba import njit
+
+from rvm_mpi.simd import KERNEL, exponential, load, splat, store, total
+from rvm_mpi.velocity import Y, Z
+
+#: sums kept of a block: 1, x, y, z, xx, xy, xz, yy, yz, zz, x|xi|^2, y|xi|^2, z|xi|^2, |xi|^4
+SUMS = 14
+#: relative mismatch of the moments at which Newton's iteration rests
+TOLERANCE = 1e-13
+#: mismatch from which one more step is the last: what it leaves is its square
+LAST_STEP = 1e-8
+NEWTON_STEPS = 12
+
+
+@njit(**KERNEL)
+def solve(matrix, vector, n):  # type: ignore[no-untyped-def]
+    """Solve a symmetric positive system in place (Cholesky); rows with a zero diagonal are left out.
+
+    Returns False where the matrix is not positive.
+    """
+    for i in range(n):
+        if matrix[i, i] == 0.0:
+            matrix[i, i] = 1.0
+            vector[i] = 0.0
+    for j in range(n):
+        pivot = matrix[j, j]
+        for k in range(j):
+            pivot -= matrix[j, k] * matrix[j, k]
+        if not pivot > 0.0:
+            return False
+        pivot = math.sqrt(pivot)
+        matrix[j, j] = pivot
+        for i in range(j + 1, n):
+            s = matrix[i, j]
+            for k in range(j):
+                s -= matrix[i, k] * matrix[j, k]
+            matrix[i, j] = s / pivot
+        s = vector[j]
+        for k in range(j):
+            s -= matrix[j, k] * vector[k]
+        vector[j] = s / pivot
+    for j in range(n - 1, -1, -1):
+        s = vector[j]
+        for k in range(j + 1, n):
+            s -= matrix[k, j] * vector[k]
+        vector[j] = s / matrix[j, j]
+    return True
+
+
+@njit(**KERNEL)
+def factor_tables(coefficients, centre, points_x, slab_size, x, slab, factor_x, factor_slab):  # type: ignore[no-untyped-def]
+    """The correction's factor as a product: factor_x[k] for xi_x times factor_slab[n] for (xi_y, xi_z).
+
+    `coefficients` are c0, c_x, c_y, c_z, c2; `centre` is u.
+    """
+    c0, cx, cy, cz, c2 = coefficients[0], coefficients[1], coefficients[2], coefficients[3], coefficients[4]
+    for k in range(points_x):
+        s = x[k] - centre[0]
+        factor_x[k] = math.exp(s * (cx + c2 * s))
+    for n in range(0, slab_size, 8):
+        y = load(slab, Y * slab_size + n) - splat(centre[1])
+        z = load(slab, Z * slab_size + n) - splat(centre[2])
+        store(factor_slab, n, exponential(y * (y * c2 + splat(cy)) + z * (z * c2 + splat(cz)) + splat(c0)))
+
+
+@njit(**KERNEL)
+def weighted_sums(block, centre, points_x, slab_size, x, slab, factor_x, factor_slab, powers, sums):  # type: ignore[no-untyped-def]
+    """The sums of block * factor_x * factor_slab about `centre`, in the order of `SUMS`.
+
+    `powers` is work space for five doubles a node of the x axis.
+    """
+    for k in range(points_x):
+        s = x[k] - centre[0]
+        f = factor_x[k]
+        for p in range(5):
+            powers[5 * k + p] = f
+            f = f * s
+    zero = splat(0.0)
+    m0, mx, my, mz = zero, zero, zero, zero
+    xx, xy, xz, yy, yz, zz = zero, zero, zero, zero, zero, zero
+    x3, y3, z3, m4 = zero, zero, zero, zero
+    for n in range(0, slab_size, 8):
+        a0, a1, a2, a3, a4 = zero, zero, zero, zero, zero
+        for k in range(points_x):
+            b = load(block, k * slab_size + n)
+            a0 = a0 + b * powers[5 * k]
+            a1 = a1 + b * powers[5 * k + 1]
+            a2 = a2 + b * powers[5 * k + 2]
+            a3 = a3 + b * powers[5 * k + 3]
+            a4 = a4 + b * powers[5 * k + 4]
+        f = load(factor_slab, n)
+        y = load(slab, Y * slab_size + n) - splat(centre[1])
+        z = load(slab, Z * slab_size + n) - splat(centre[2])
+        fy, fz = f * y, f * z
+        square = y * y + z * z
+        m0 = m0 + f * a0
+        mx = mx + f * a1
+        my = my + fy * a0
+        mz = mz + fz * a0
+        xx = xx + f * a2
+        xy = xy + fy * a1
+        xz = xz + fz * a1
+        yy = yy + fy * y * a0
+        yz = yz + fy * z * a0
+        zz = zz + fz * z * a0
+        x3 = x3 + f * (a3 + square * a1)
+        radial = a2 + square * a0
+        y3 = y3 + fy * radial
+        z3 = z3 + fz * radial
+        m4 = m4 + f * (a4 + square * (a2 + radial))
+    sums[0], sums[1], sums[2], sums[3] = total(m0), total(mx), total(my), total(mz)
+    sums[4], sums[5], sums[6] = total(xx), total(xy), total(xz)
+    sums[7], sums[8], sums[9] = total(yy), total(yz), total(zz)
+    sums[10], sums[11], sums[12], sums[13] = total(x3), total(y3), total(z3), total(m4)
+
+
+@njit(**KERNEL)
+def about_origin(sums, centre):  # type: ignore[no-untyped-def]
+    """Turn the first ten sums about `centre` into sums about the origin, in place."""
+    m, cx, cy, cz = sums[0], centre[0], centre[1], centre[2]
+    mx, my, mz = sums[1], sums[2], sums[3]
+    sums[4] += cx * (2.0 * mx + cx * m)
+    sums[5] += cx * my + cy * mx + cx * cy * m
+    sums[6] += cx * mz + cz * mx + cx * cz * m
+    sums[7] += cy * (2.0 * my + cy * m)
+    sums[8] += cy * mz + cz * my + cy * cz * m
+    sums[9] += cz * (2.0 * mz + cz * m)
+    sums[1] += cx * m
+    sums[2] += cy * m
+    sums[3] += cz * m
+
+
+@njit(**KERNEL)
+def correct(block, target, dimensions, points_x, slab_size, x, slab, work, sums):  # type: ignore[no-untyped-def]
+    """Find the factor that gives a block the moments `target`.
+
+    Parameters
+    ----------
+    block : (points_x * slab_size,) array
+        Not changed; multiply it by factor_x and factor_slab.
+    target : (5,) array
+        Sums of 1, xi, |xi|^2/2 wanted.
+    work : tuple of arrays
+        factor_x (points_x,), factor_slab (slab_size,), powers (5 points_x,), matrix (5, 5), vectors (3, 5).
+    sums : (14,) array
+        Receives the first ten sums of the corrected block about the origin.
+
+    Returns
+    -------
+    float
+        The largest relative mismatch found before the correction, -1 where Newton's iteration failed.
+    """
+    factor_x, factor_slab, powers, matrix, vectors = work
+    centre, coefficients, step = vectors[0], vectors[1], vectors[2]
+    density = target[0]
+    for i in range(3):
+        centre[i] = target[1 + i] / density
+    speed2 = centre[0] ** 2 + centre[1] ** 2 + centre[2] ** 2
+    spread = 2.0 * target[4] - density * speed2
+    if not (density > 0.0 and spread > 0.0):
+        return -1.0
+    thermal = math.sqrt(spread / density)
+    for i in range(5):
+        coefficients[i] = 0.0
+    for k in range(points_x):
+        factor_x[k] = 1.0
+    for n in range(0, slab_size, 8):
+        store(factor_slab, n, splat(1.0))
+    first = 0.0
+    previous = math.inf
+    for attempt in range(NEWTON_STEPS):
+        weighted_sums(block, centre, points_x, slab_size, x, slab, factor_x, factor_slab, powers, sums)
+        square = sums[4] + sums[7] + sums[9]
+        mismatch = max(
+            abs(sums[0] / density - 1.0),
+            max(abs(sums[1]), abs(sums[2]), abs(sums[3])) / (density * thermal),
+            abs(square / spread - 1.0),
+        )
+        if attempt == 0:
+            first = mismatch
+        if not mismatch < 1e100:
+            return -1.0
+        if mismatch <= TOLERANCE or (attempt > 2 and mismatch < 1e-11 and mismatch >= previous):
+            about_origin(sums, centre)
+            return first
+        previous = mismatch
+        for i in range(3):
+            matrix[1 + i, 0] = sums[1 + i]
+            matrix[4, 1 + i] = sums[10 + i]
+        matrix[0, 0] = sums[0]
+        matrix[4, 0] = square
+        matrix[1, 1], matrix[2, 1], matrix[3, 1] = sums[4], sums[5], sums[6]
+        matrix[2, 2], matrix[3, 2], matrix[3, 3] = sums[7], sums[8], sums[9]
+        matrix[4, 4] = sums[13]
+        step[0] = density - sums[0]
+        step[1], step[2], step[3] = -sums[1], -sums[2], -sums[3]
+        step[4] = spread - square
+        if not solve(matrix, step, 5):
+            return -1.0
+        # far from the answer a full Newton step may overshoot: let no factor change by more than e^2 at 3 thermal speeds
+        reach = abs(step[0]) + 3.0 * thermal * (abs(step[1]) + abs(step[2]) + abs(step[3])) + 9.0 * thermal**2 * abs(step[4])
+        shorter = 1.0 if reach <= 2.0 else 2.0 / reach
+        for i in range(5):
+            coefficients[i] += shorter * step[i]
+        factor_tables(coefficients, centre, points_x, slab_size, x, slab, factor_x, factor_slab)
+        if mismatch <= LAST_STEP:
+            # this step leaves a mismatch of order mismatch^2: no need to look again
+            sums[0], sums[1], sums[2], sums[3] = density, 0.0, 0.0, 0.0
+            share = (spread - square) / dimensions
+            for i in range(dimensions):
+                sums[4 if i == 0 else (7 if i == 1 else 9)] += share
+            about_origin(sums, centre)
+            return first
+    return -1.0

@@ -1,0 +1,266 @@
+"""A vector of eight doubles for numba kernels, with loads and stores that LLVM need not guard.
+
+numba's own array indexing handles negative indices, which keeps LLVM from vectorising, and how well it
+vectorises the rest differs from one numba version to the next. The kernels of this package therefore say what
+they mean: `load(a, i)` is the eight doubles a[i:i+8], arithmetic works on all eight, `store(a, i, v)` puts them
+back. On processors with narrower registers LLVM splits the operations; the results are the same on
+any number of ranks because every element goes through the same operations wherever it lies in an array.
+
+Products and sums may be contracted to fused multiply-adds, nothing else is reordered.
+"""
+
+from __future__ import annotations
+
+import math
+import operator
+from typing import Any, Callable
+
+from llvmlite import ir
+from numba import njit
+from numba.core import cgutils, types
+from numba.extending import intrinsic, models, overload, register_model
+from numba.np.arrayobj import make_array
+
+LANES = 8
+#: options shared by every kernel of the package
+KERNEL: dict[str, Any] = {"cache": True, "error_model": "numpy", "fastmath": {"contract", "nsz"}, "nogil": True}
+
+_DOUBLE = ir.DoubleType()
+_VECTOR = ir.VectorType(_DOUBLE, LANES)
+_INTS = ir.VectorType(ir.IntType(64), LANES)
+_I32 = ir.IntType(32)
+_LANE_INDEX = ir.VectorType(_I32, LANES)
+_CONTRACT = ("contract", "nsz")
+
+
+class _Vector8(types.Type):
+    def __init__(self) -> None:
+        super().__init__(name="Vector8")
+
+
+vector8 = _Vector8()
+
+
+@register_model(_Vector8)
+class _Vector8Model(models.PrimitiveModel):
+    def __init__(self, dmm: Any, fe_type: Any) -> None:
+        super().__init__(dmm, fe_type, _VECTOR)
+
+
+def _constant(value: float) -> ir.Constant:
+    return ir.Constant(_VECTOR, [float(value)] * LANES)
+
+
+def _address(context: Any, builder: Any, array_type: Any, array: Any, index: Any) -> Any:
+    pointer = builder.gep(make_array(array_type)(context, builder, array).data, [index])
+    return builder.bitcast(pointer, _VECTOR.as_pointer())
+
+
+def _splat(builder: Any, value: Any) -> Any:
+    undefined = ir.Constant(_VECTOR, ir.Undefined)
+    first = builder.insert_element(undefined, value, _I32(0))
+    return builder.shuffle_vector(first, undefined, ir.Constant(_LANE_INDEX, [0] * LANES))
+
+
+@intrinsic
+def load(typingctx, array, index):  # type: ignore[no-untyped-def]
+    """The eight doubles array[index:index+8]; the caller answers for the bounds."""
+
+    def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
+        return builder.load(_address(context, builder, signature.args[0], args[0], args[1]), align=8)
+
+    return vector8(array, types.intp), codegen
+
+
+@intrinsic
+def store(typingctx, array, index, value):  # type: ignore[no-untyped-def]
+    """array[index:index+8] = value; the caller answers for the bounds."""
+
+    def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
+        builder.store(args[2], _address(context, builder, signature.args[0], args[0], args[1]), align=8)
+        return context.get_dummy_value()
+
+    return types.void(array, types.intp, vector8), codegen
+
+
+@intrinsic
+def prefetch(typingctx, array, index):  # type: ignore[no-untyped-def]
+    """Ask for the cache line of array[index]; harmless outside the array."""
+
+    def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
+        pointer = builder.gep(make_array(signature.args[0])(context, builder, args[0]).data, [args[1]])
+        pointer = builder.bitcast(pointer, ir.IntType(8).as_pointer())
+        kind = ir.FunctionType(ir.VoidType(), [pointer.type, _I32, _I32, _I32])
+        name = "llvm.prefetch.p0" if "i8" not in str(pointer.type) else "llvm.prefetch.p0i8"
+        function = cgutils.get_or_insert_function(builder.module, kind, name)
+        builder.call(function, [pointer, _I32(0), _I32(3), _I32(1)])
+        return context.get_dummy_value()
+
+    return types.void(array, types.intp), codegen
+
+
+@intrinsic
+def splat(typingctx, value):  # type: ignore[no-untyped-def]
+    """A vector with `value` in every lane."""
+
+    def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
+        return _splat(builder, args[0])
+
+    return vector8(types.float64), codegen
+
+
+@intrinsic
+def total(typingctx, vector):  # type: ignore[no-untyped-def]
+    """The sum of the lanes, from the first to the last."""
+
+    def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
+        result = builder.extract_element(args[0], _I32(0))
+        for lane in range(1, LANES):
+            result = builder.fadd(result, builder.extract_element(args[0], _I32(lane)))
+        return result
+
+    return types.float64(vector8), codegen
+
+
+def _binary(emit: Callable[[Any, Any, Any], Any]) -> Any:
+    @intrinsic
+    def operation(typingctx, a, b):  # type: ignore[no-untyped-def]
+        def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
+            return emit(builder, args[0], args[1])
+
+        return vector8(vector8, vector8), codegen
+
+    return operation
+
+
+def _select(builder: Any, comparison: str, a: Any, b: Any) -> Any:
+    return builder.select(builder.fcmp_ordered(comparison, a, b), a, b)
+
+
+_add = _binary(lambda builder, a, b: builder.fadd(a, b, flags=_CONTRACT))
+_subtract = _binary(lambda builder, a, b: builder.fsub(a, b, flags=_CONTRACT))
+_multiply = _binary(lambda builder, a, b: builder.fmul(a, b, flags=_CONTRACT))
+minimum = _binary(lambda builder, a, b: _select(builder, "<", a, b))
+maximum = _binary(lambda builder, a, b: _select(builder, ">", a, b))
+
+
+def _register(python_operator: Any, vector_operation: Any) -> None:
+    @overload(python_operator, inline="always")
+    def _arithmetic(a, b):  # type: ignore[no-untyped-def]
+        if isinstance(a, _Vector8) and isinstance(b, _Vector8):
+            return lambda a, b: vector_operation(a, b)
+        if isinstance(a, _Vector8) and isinstance(b, types.Float):
+            return lambda a, b: vector_operation(a, splat(b))
+        if isinstance(b, _Vector8) and isinstance(a, types.Float):
+            return lambda a, b: vector_operation(splat(a), b)
+        return None
+
+
+for _operator, _operation in ((operator.add, _add), (operator.sub, _subtract), (operator.mul, _multiply)):
+    _register(_operator, _operation)
+
+
+@intrinsic
+def van_leer(typingctx, a, b):  # type: ignore[no-untyped-def]
+    """Half of Van Leer's harmonic slope of the differences a, b: a b/(a+b) where they agree in sign, else 0."""
+
+    def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
+        a, b = args
+        product = builder.fmul(a, b)
+        quotient = builder.fdiv(product, builder.fadd(a, b))
+        zero = _constant(0.0)
+        return builder.select(builder.fcmp_ordered(">", product, zero), quotient, zero)
+
+    return vector8(vector8, vector8), codegen
+
+
+@intrinsic
+def _slope_parts(typingctx, a, b):  # type: ignore[no-untyped-def]
+    """Numerator and denominator of `van_leer`, 0 and 1 where the slope is to be zero."""
+
+    def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
+        a, b = args
+        product = builder.fmul(a, b)
+        sloped = builder.fcmp_ordered(">", product, _constant(1e-180))
+        numerator = builder.select(sloped, product, _constant(0.0))
+        denominator = builder.select(sloped, builder.fadd(a, b), _constant(1.0))
+        return context.make_tuple(builder, signature.return_type, (numerator, denominator))
+
+    return types.UniTuple(vector8, 2)(vector8, vector8), codegen
+
+
+@intrinsic
+def _reciprocal(typingctx, a):  # type: ignore[no-untyped-def]
+    def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
+        return builder.fdiv(_constant(1.0), args[0])
+
+    return vector8(vector8), codegen
+
+
+@njit(inline="always")
+def van_leer3(a1, b1, a2, b2, a3, b3):  # type: ignore[no-untyped-def]
+    """Three slopes of `van_leer` for one division; zero where the product of differences is below 1e-180."""
+    n1, d1 = _slope_parts(a1, b1)
+    n2, d2 = _slope_parts(a2, b2)
+    n3, d3 = _slope_parts(a3, b3)
+    d12 = d1 * d2
+    inverse = _reciprocal(d12 * d3)
+    rest = d3 * inverse
+    return (n1 * d2) * rest, (n2 * d1) * rest, n3 * (d12 * inverse)
+
+
+@intrinsic
+def upwind(typingctx, speed, left, right):  # type: ignore[no-untyped-def]
+    """speed * left where speed > 0, else speed * right."""
+
+    def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
+        speed, left, right = args
+        from_left = builder.fcmp_ordered(">", speed, _constant(0.0))
+        return builder.fmul(speed, builder.select(from_left, left, right), flags=_CONTRACT)
+
+    return vector8(vector8, vector8, vector8), codegen
+
+
+@intrinsic
+def where_positive(typingctx, condition, a, b):  # type: ignore[no-untyped-def]
+    """a where condition > 0, else b."""
+
+    def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
+        return builder.select(builder.fcmp_ordered(">", args[0], _constant(0.0)), args[1], args[2])
+
+    return vector8(vector8, vector8, vector8), codegen
+
+
+_LOG2_E = 1.4426950408889634
+_LN2_HIGH, _LN2_LOW = 0.693145751953125, 1.42860682030941723212e-6
+_ROUND = 6755399441055744.0  # 1.5 * 2^52: adding it rounds to the nearest integer
+_ROUND_BITS = 4843621399236968448
+
+
+@intrinsic
+def exponential(typingctx, x):  # type: ignore[no-untyped-def]
+    """exp(x) to 1e-14 relative; x is clamped to [-708, 709], so the smallest result is 3e-308."""
+
+    def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
+        def fused(a, b, c):  # type: ignore[no-untyped-def]
+            return builder.fadd(builder.fmul(a, b, flags=("contract",)), c, flags=("contract",))
+
+        x = _select(builder, ">", args[0], _constant(-708.0))
+        x = _select(builder, "<", x, _constant(709.0))
+        shifted = builder.fadd(builder.fmul(x, _constant(_LOG2_E)), _constant(_ROUND))
+        power = builder.fsub(shifted, _constant(_ROUND))
+        r = fused(power, _constant(-_LN2_HIGH), x)
+        r = fused(power, _constant(-_LN2_LOW), r)
+        c = [_constant(1.0 / math.factorial(n)) for n in range(12)]
+        r2 = builder.fmul(r, r)
+        r4 = builder.fmul(r2, r2)
+        r8 = builder.fmul(r4, r4)
+        pair = [fused(r, c[n + 1], c[n]) for n in range(0, 12, 2)]
+        low = fused(r4, fused(r2, pair[3], pair[2]), fused(r2, pair[1], pair[0]))
+        polynomial = fused(r8, fused(r2, pair[5], pair[4]), low)
+        offset = ir.Constant(_INTS, [_ROUND_BITS - 1023] * LANES)
+        exponent = builder.sub(builder.bitcast(shifted, _INTS), offset)
+        scale = builder.shl(exponent, ir.Constant(_INTS, [52] * LANES))
+        return builder.fmul(polynomial, builder.bitcast(scale, _VECTOR))
+
+    return vector8(vector8), codegen

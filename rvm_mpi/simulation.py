@@ -1,0 +1,500 @@
+"""The loop of a run: state -> step -> diagnostics -> output. Read this first.
+
+    sim = Simulation(Job.from_file("my.toml"))
+    for step in sim:
+        ...
+
+is one time step each; `run_job` is the same loop with a run directory around it.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+import time as clock
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TextIO
+
+import numpy as np
+
+from rvm_mpi import rundir
+from rvm_mpi.domain import Domain
+from rvm_mpi.exact_sum import exact_sums
+from rvm_mpi.fluid import FluidSystem
+from rvm_mpi.job import Job, JobError
+from rvm_mpi.states import macroscopic_state
+from rvm_mpi.stepping import KineticStepper, NumericalFailure, StepReport
+
+#: a step may pass the Courant number by this factor before it is taken again, shorter
+SLACK = 1.02
+#: largest relative change of a cell's energy by dissipation in one step
+COOLING_CHANGE = 0.1
+#: the fluid's own Courant number, up to which it keeps density and temperature positive
+FLUID_CFL = 0.5
+
+InitialState = Callable[[np.ndarray, np.ndarray], tuple[Any, Any, Any]]
+
+
+@dataclass(frozen=True)
+class Step:
+    """A finished time step: its number, the time it reached, its length, and which limit set that length."""
+
+    number: int
+    time: float
+    dt: float
+    limit: str
+
+
+class Simulation:
+    """A job in memory: its state, and the steps that advance it.
+
+    Parameters
+    ----------
+    job : Job
+    initial : callable, optional
+        Takes cell centres x (1, nx) and y (ny, 1) and returns density, velocity (..., d) and temperature of f,
+        broadcast over the cells; by default the job's own state.
+    comm : MPI communicator, optional
+        All ranks by default.
+
+    Attributes
+    ----------
+    time, number : float, int
+        Where the run is.
+    domain, kinetic, fluid
+        The cells of this rank, g with its step, and the macroscopic system or None.
+
+    Raises
+    ------
+    JobError
+        On every rank, if the number of ranks or the initial state does not fit.
+    NumericalFailure
+        From iterating: the run cannot go on.
+    """
+
+    def __init__(self, job: Job, initial: InitialState | None = None, comm: Any = None) -> None:
+        self.job = job
+        self.domain = Domain(job, comm)
+        density, velocity, tensor = self._initial_state(initial)
+        d = job.velocity.dimensions
+        temperature = np.trace(tensor, axis1=-2, axis2=-1) / d
+        self.kinetic = KineticStepper(job, self.domain, density, velocity, tensor)
+        self.fluid: FluidSystem | None = None
+        if job.fluid.enabled or job.scaling.kind == "macroscopic":
+            self.fluid = FluidSystem(job, self.domain)
+            self.fluid.set_state(density, velocity, temperature)
+        self.time, self.number = 0.0, 0
+        self.volume = math.prod(self.domain.spacing)
+        self.stops = _stops(job)
+        self.last_dt = 0.0
+        # a stage of no length measures the rates that set the first step
+        self.kinetic.first_stage(0.0)
+        self.kinetic.measure_sides()
+        self._rate, self._cooling_rate = self.kinetic.rate, self.kinetic.cooling_rate
+        self.diagnostics = Diagnostics(self)
+
+    def _initial_state(self, initial: InitialState | None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        (i0, j0), (nx, ny) = self.domain.start, self.domain.local
+        if initial is None:
+            return macroscopic_state(self.job, i0, i0 + nx, j0, j0 + ny)
+        d = self.job.velocity.dimensions
+        dx, dy = self.domain.spacing
+        lower = (*self.job.space.lower, 0.0, 0.0)
+        x = lower[0] + (np.arange(i0, i0 + nx) + 0.5)[None, :] * dx
+        y = lower[1] + (np.arange(j0, j0 + ny) + 0.5)[:, None] * dy
+        density, velocity, temperature = initial(x, y)
+        density = np.broadcast_to(np.asarray(density, dtype=float), (ny, nx)).copy()
+        velocity = np.broadcast_to(np.asarray(velocity, dtype=float), (ny, nx, d)).copy()
+        temperature = np.broadcast_to(np.asarray(temperature, dtype=float), (ny, nx))
+        worst = self.domain.maximum(float(np.max(-density)), float(np.max(-temperature)))
+        if not max(worst) < 0.0:
+            raise JobError(f"{self.job.name}: the initial density and temperature must be positive in every cell")
+        return density, velocity, temperature[..., None, None] * np.eye(d)
+
+    # -- the loop -----------------------------------------------------------------------------------------
+
+    def __iter__(self) -> Iterator[Step]:
+        while not self.finished:
+            yield self.advance()
+
+    @property
+    def finished(self) -> bool:
+        """Whether the end time or the last step is reached."""
+        most = self.job.time.max_steps
+        return self.time >= self.job.time.end or (most is not None and self.number >= most)
+
+    def advance(self) -> Step:
+        """One time step."""
+        dt, limit = self._step_length()
+        dt, reached = self._fit_to_stops(dt)
+        saved = None if self.fluid is None else self.fluid.state.copy()
+        while True:
+            try:
+                self._advance_fluid(dt)
+                self.kinetic.first_stage(dt)
+                courant = dt * self.kinetic.rate
+                if self.job.time.dt is not None or courant <= SLACK * self.job.time.cfl:
+                    report = self.kinetic.second_stage(dt)
+                    break
+            except (NumericalFailure, FloatingPointError) as error:
+                where = f"step {self.number + 1} from t = {self.time:.6g} with dt = {dt:.3g}"
+                raise NumericalFailure(f"{error}; {where}") from None
+            # the scaling turned faster than the step before said: the first stage left g^n as it was
+            dt, reached = 0.95 * self.job.time.cfl / self.kinetic.rate, None
+            if self.fluid is not None and saved is not None:
+                self.fluid.state[...] = saved
+        self.time = self.time + dt if reached is None else reached
+        self.number += 1
+        self.last_dt = dt
+        self._rate, self._cooling_rate = self.kinetic.rate, self.kinetic.cooling_rate
+        self.diagnostics.update(report)
+        return Step(self.number, self.time, dt, limit)
+
+    def _step_length(self) -> tuple[float, str]:
+        """The longest step allowed, and the name of the limit that sets it."""
+        time = self.job.time
+        if time.dt is not None:
+            return time.dt, "time.dt"
+        limits = {
+            "transport and drift (cfl)": time.cfl / self._rate if self._rate > 0 else math.inf,
+            "dissipation": COOLING_CHANGE / self._cooling_rate if self._cooling_rate > 0 else math.inf,
+            "end": time.end - self.time,
+        }
+        if self.fluid is not None:
+            rate = self.domain.maximum(self.fluid.max_rate())[0]
+            limits["fluid"] = FLUID_CFL / rate if rate > 0 and self.domain.dimensions else math.inf
+        name = min(limits, key=lambda key: limits[key])
+        return limits[name], name
+
+    def _fit_to_stops(self, dt: float) -> tuple[float, float | None]:
+        """Shorten a step so that output times are hit exactly; two equal steps rather than a last tiny one."""
+        stop = next((t for t in self.stops if t > self.time), self.job.time.end)
+        left = stop - self.time
+        if dt >= left * (1.0 - 1e-12):
+            return left, stop
+        return (0.5 * left if dt > 0.5 * left and self.job.time.dt is None else dt), None
+
+    def _advance_fluid(self, dt: float) -> None:
+        """The fluid goes first: its omega at the end of the step gives the kinetic stages theirs."""
+        if self.fluid is None:
+            return
+        self.fluid.advance(dt)
+        scaling = self.job.scaling
+        if scaling.kind == "macroscopic":
+            if scaling.synchronise > 0.0:
+                d = self.job.velocity.dimensions
+                state, _temperature = self.kinetic.macroscopic()
+                self.fluid.relax_towards(state[..., [*range(d + 1), 4]], scaling.synchronise, dt)
+            self.kinetic.set_scaling(self.fluid.omega(), dt)
+
+    # -- what can be asked of the state ----------------------------------------------------------------
+
+    def moments(self) -> dict[str, np.ndarray]:
+        """density, velocity, temperature, stress and heat_flux of f on this rank's cells (ny, nx, ...)."""
+        return self.kinetic.fields()
+
+    def snapshot(self) -> dict[str, np.ndarray]:
+        """The datasets of `fields.h5` on this rank's cells."""
+        fields = {f"kinetic/{name}": values for name, values in self.kinetic.fields().items()}
+        fields["scaling/omega"] = self.kinetic.omega
+        if self.fluid is not None:
+            density, velocity, temperature = self.fluid.moments()
+            fields.update({"fluid/density": density, "fluid/velocity": velocity, "fluid/temperature": temperature})
+        if self.job.output.marginals:
+            fields["marginal/x"] = self.kinetic.marginal()
+        return fields
+
+    def walls(self) -> dict[str, np.ndarray]:
+        """Pressure, shear stress and heat flux of each wall face of this rank: means over the last step.
+
+        The stress is the force on the wall per area: `pressure` (n,) along its outer normal, `shear_stress`
+        (n, d) along it; `heat_flux` (n,) is the energy the wall receives.
+        """
+        d = self.job.velocity.dimensions
+        found = {}
+        for name, rates in self.kinetic.through.items():
+            if self.job.space.sides[name].kind not in ("maxwell", "specular"):
+                continue
+            axis, sign = "xy".index(name[0]), (1.0 if name.endswith("upper") else -1.0)
+            shear = sign * rates[:, 1 : 1 + d]
+            shear[:, axis] = 0.0
+            found[f"wall/{name}/pressure"] = rates[:, 1 + axis].copy()
+            found[f"wall/{name}/shear_stress"] = shear
+            found[f"wall/{name}/heat_flux"] = sign * rates[:, 4]
+        return found
+
+
+def _stops(job: Job) -> list[float]:
+    return sorted({float(t) for t in job.output.times if t > 0.0} | {float(job.time.end)})
+
+
+class Diagnostics:
+    """The row of `history.csv`, kept up to date after every step; the same on every rank, whatever their number.
+
+    Sums over cells are exact (`exact_sum.py`); what entered and what was dissipated accumulates over the run.
+    """
+
+    def __init__(self, simulation: Simulation) -> None:
+        self._sim = simulation
+        job = simulation.job
+        d = self._d = job.velocity.dimensions
+        sides = job.space.sides
+        self._sides = [name for name, side in sides.items() if side.kind != "periodic"]
+        self._parts = ["mass", *(f"momentum_{c}" for c in "xyz"[:d]), "energy"]
+        self._entered = {f"entered_{part}_{name}": 0.0 for name in self._sides for part in self._parts}
+        self._dissipated = 0.0
+        self.row: dict[str, float] = {}
+        self._first: dict[str, float] = {}
+        self._measure(None)
+        self._first = dict(self.row)
+        omega0 = math.sqrt(2.0 * self.row["energy"] / (d * self.row["mass"]))
+        self._momentum_scale = self.row["mass"] * omega0
+
+    @property
+    def columns(self) -> list[str]:
+        """Names of the columns of `history.csv`."""
+        return list(self.row)
+
+    def update(self, report: StepReport) -> None:
+        """Bring the row up to date with a finished step."""
+        self._measure(report)
+
+    def _measure(self, report: StepReport | None) -> None:
+        sim, d = self._sim, self._d
+        state, temperature = sim.kinetic.macroscopic()
+        density = state[..., 0]
+        picks = [0, *range(1, d + 1), 4]
+        arrays = [state[..., q] for q in picks] + [density * temperature, density**2]
+        fluid_density = fluid_energy = np.zeros(0)
+        fluid_thermal = np.zeros(0)
+        if sim.fluid is not None:
+            fluid_density, fluid_energy = sim.fluid.interior[..., 0], sim.fluid.interior[..., -1]
+            fluid_thermal = fluid_density * sim.fluid.moments()[2]
+        arrays += [fluid_density, fluid_energy, fluid_thermal, fluid_density**2]
+        arrays.append(np.zeros(0) if report is None else report.dissipated)
+        for name in self._sides:
+            through = None if report is None else report.entered.get(name)
+            arrays += [np.zeros(0) if through is None else through[:, q] for q in picks]
+        sums = exact_sums(arrays, sim.domain.comm)
+        *totals, heat, square, fluid_mass, fluid_energy_sum, fluid_heat, fluid_square, dissipated = sums[: d + 9]
+        largest = sim.domain.maximum(
+            -(report.smallest if report else float(self._interior_g().min())),
+            report.largest if report else float(self._interior_g().max()),
+            report.mismatch if report else 0.0,
+            -float(temperature.min()),
+            float(temperature.max()),
+        )
+        self.temperature_range = (-largest[3], largest[4])
+        replaced = exact_sums([np.array([float(report.replaced if report else 0)])], sim.domain.comm)[0]
+        self._dissipated += float(dissipated) * sim.volume
+        for key, value in zip(self._entered, sums[d + 9 :]):
+            self._entered[key] += float(value) * sim.volume
+        cells = sim.domain.cells[0] * sim.domain.cells[1]
+        none = math.nan
+        fluid = sim.fluid is not None
+        row: dict[str, float] = {"step": sim.number, "time": sim.time, "dt": sim.last_dt}
+        row.update({part: float(value) * sim.volume for part, value in zip(self._parts, totals)})
+        row["fluid_energy"] = float(fluid_energy_sum) * sim.volume if fluid else none
+        row["dissipated_energy"] = self._dissipated
+        row.update(self._entered)
+        row["mean_temperature"] = float(heat / totals[0])
+        row["fluid_mean_temperature"] = float(fluid_heat / fluid_mass) if fluid else none
+        row["density_variance"] = float(square) / cells - (float(totals[0]) / cells) ** 2
+        row["fluid_density_variance"] = float(fluid_square) / cells - (float(fluid_mass) / cells) ** 2 if fluid else none
+        row["min_g"], row["max_g"], row["correction"] = -largest[0], largest[1], largest[2]
+        row["gaussians_replaced"] = float(replaced)
+        row.update(self._balances(row))
+        self.row = row
+
+    def _balances(self, row: dict[str, float]) -> dict[str, float]:
+        """What mass, momentum and energy miss, relative to their start (momentum: to mass times the initial omega)."""
+        first = self._first or row
+        gained = {part: sum(self._entered[f"entered_{part}_{name}"] for name in self._sides) for part in self._parts}
+        mass = row["mass"] - first["mass"] - gained["mass"]
+        energy = row["energy"] - first["energy"] - gained["energy"] + self._dissipated
+        momentum = max(abs(row[part] - first[part] - gained[part]) for part in self._parts[1:-1])
+        return {
+            "mass_error": mass / first["mass"],
+            "momentum_error": momentum / self._momentum_scale if self._first else 0.0,
+            "energy_error": energy / first["energy"],
+        }
+
+    def _interior_g(self) -> np.ndarray:
+        kinetic = self._sim.kinetic
+        nx, ny = self._sim.domain.local
+        wy, wx = kinetic.space.wy, kinetic.space.wx
+        return kinetic.velocity_grid.unpack(kinetic.g[wy : wy + ny, wx : wx + nx])
+
+
+# -- a run in a directory ---------------------------------------------------------------------------------
+
+
+def run_job(
+    job: Job,
+    output: Path,
+    restart: bool = False,
+    overwrite: bool = False,
+    walltime: float | None = None,
+    quiet: bool = False,
+) -> int:
+    """Run a job into a run directory.
+
+    Parameters
+    ----------
+    job : Job
+    output : Path
+    restart, overwrite : bool
+        Go on with the run that is there; move it aside.
+    walltime : float, optional
+        Stop with a checkpoint after so many seconds.
+    quiet : bool
+        Say nothing on the terminal; `run.log` has it all the same.
+
+    Returns
+    -------
+    int
+        0 done, 3 failed, 75 stopped early on purpose (go on with `--restart`).
+
+    Raises
+    ------
+    JobError
+        On every rank, before anything is written.
+    """
+    rundir.check(output, restart, overwrite)
+    simulation = Simulation(job)
+    with Run(simulation, output, restart, overwrite, quiet) as run:
+        return run.go(walltime)
+
+
+class Run:
+    """A simulation with its run directory: snapshots, history, log."""
+
+    def __init__(self, simulation: Simulation, output: Path, restart: bool, overwrite: bool, quiet: bool) -> None:
+        from rvm_mpi.results import FieldsFile, History, write_xdmf
+
+        self.simulation = sim = simulation
+        self.output, self.comm = output, sim.domain.comm
+        self.head = self.comm.rank == 0
+        self.quiet = quiet
+        self.log: TextIO | None = None
+        self.history: History | None = None
+        job = sim.job
+        aside = self._on_rank_0(lambda: rundir.prepare(output, job, restart, overwrite))
+        facts = rundir.provenance(self.comm.size)
+        self._on_rank_0(lambda: self._open_log(facts, aside))
+        self.fields = FieldsFile(
+            output / "fields.h5", self.comm, sim.domain, job, facts, self._wall_layout(), sim.kinetic.velocity_grid.x
+        )
+        self._on_rank_0(lambda: write_xdmf(output / "fields.xdmf", job, list(job.output.times)))
+        if self.head:
+            self.history = History(output / "history.csv", sim.diagnostics.columns)
+
+    def __enter__(self) -> Run:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.fields.close()
+        for file in (self.history, self.log):
+            if file is not None:
+                file.close()
+
+    def _on_rank_0(self, action: Callable[[], Any]) -> Any:
+        """Do something on rank 0; if it cannot, every rank raises the same error."""
+        result, error = None, None
+        if self.head:
+            try:
+                result = action()
+            except (JobError, OSError) as caught:
+                error = caught
+        error = self.comm.bcast(error)
+        if error is not None:
+            raise error
+        return result
+
+    def _open_log(self, facts: dict[str, str], aside: Path | None) -> None:
+        self.log = (self.output / "run.log").open("a", encoding="utf-8")
+        for key, value in facts.items():
+            self.log.write(f"{key}: {value}\n")
+        self.log.flush()
+        if aside is not None:
+            self.say(f"the run that was in {self.output} is now in {aside}")
+
+    def say(self, line: str) -> None:
+        """One line on rank 0's terminal and in `run.log`."""
+        if not self.head:
+            return
+        if self.log is not None:
+            self.log.write(line + "\n")
+            self.log.flush()
+        if not self.quiet:
+            print(line, file=sys.stderr, flush=True)
+
+    def _wall_layout(self) -> dict[str, Any]:
+        from rvm_mpi.results import Layout
+
+        sim, layout = self.simulation, {}
+        nx, ny = sim.domain.cells
+        d = sim.job.velocity.dimensions
+        for name, side in sim.job.space.sides.items():
+            if side.kind in ("maxwell", "specular"):
+                n, axis = (ny, "y") if name[0] == "x" else (nx, "x")
+                shape, axes = ((n,), (axis,)) if sim.domain.dimensions == 2 else ((1,), ("face",))
+                what = f"of the wall at {name}, mean over the last step"
+                layout[f"wall/{name}/pressure"] = Layout(shape, axes, f"pressure {what}", "reference pressure")
+                layout[f"wall/{name}/shear_stress"] = Layout(
+                    (*shape, d), (*axes, "component"), f"shear stress {what}", "reference pressure"
+                )
+                layout[f"wall/{name}/heat_flux"] = Layout(
+                    shape, axes, f"energy received per area and time {what}", "reference pressure x speed"
+                )
+        return layout
+
+    def go(self, walltime: float | None = None) -> int:
+        """Step to the end; the exit status."""
+        from rvm_mpi.progress import Progress
+
+        sim = self.simulation
+        begin = clock.perf_counter()
+        progress = None
+        if self.head:
+            stream = None if self.quiet else sys.stderr
+            progress = Progress(sim.job, stream, self.log, self.comm.size)
+            self.record()
+        self.take_snapshot()
+        del walltime, begin
+        try:
+            for step in sim:
+                if progress is not None:
+                    self.record()
+                    row = sim.diagnostics.row
+                    progress.update(
+                        step.number, step.time, step.dt, row["mass_error"], row["min_g"], sim.diagnostics.temperature_range
+                    )
+                self.take_snapshot()
+        except NumericalFailure as error:
+            self.say(f"rvm: {sim.job.name}: {error}")
+            return 3
+        if progress is not None:
+            progress.close()
+        return 0
+
+    def record(self) -> None:
+        """Append the present row to the history (rank 0)."""
+        if self.history is not None:
+            self.history.append(self.simulation.diagnostics.row)
+
+    def take_snapshot(self) -> None:
+        """Write a snapshot if the present time is one of the job's."""
+        sim = self.simulation
+        if sim.time not in sim.job.output.times:
+            return
+        index = list(sim.job.output.times).index(sim.time)
+        i0, j0 = sim.domain.start
+        nx, ny = sim.domain.local
+        extra = {}
+        for name, values in sim.walls().items():
+            first, count = (j0, ny) if "/x-" in name else (i0, nx)
+            extra[name] = ((slice(first, first + count),), values)
+        self.fields.write(index, sim.time, sim.snapshot(), extra)

@@ -1,0 +1,526 @@
+"""One stage of the time step, swept over the cells of a rank: each cell's block is finished while it is in cache.
+
+For a cell, in this order: fluxes through its upper faces and their moments; the rates of mass, momentum and energy and
+with them d_t omega; drift and transport of g; correction of g to the carried moments; relaxation to the Gaussian. A
+stage reads the ghosted g of the stage before and writes the other array; the sums over the velocity grid are
+kept as plain sums over the nodes, without the volume of a velocity cell.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from rvm_mpi.collisions.es_bgk import FAILED, REPLACED, TOO_COLD, discrete_gaussian
+from rvm_mpi.kinetic import drift
+from rvm_mpi.kinetic.conservation import SUMS, correct, weighted_sums
+from rvm_mpi.kinetic.transport import flux_x, flux_y
+from rvm_mpi.simd import KERNEL, load, maximum, minimum, splat, store
+from rvm_mpi.velocity import VALID, Y, Z, VelocityGrid
+
+#: columns of the diagnostics a stage leaves of each cell
+SMALLEST, LARGEST, MISMATCH, GAUSSIANS_REPLACED, RATE, DISSIPATED, COOLING_RATE, STATUS = range(8)
+DIAGNOSTICS = 8
+#: what STATUS says
+HEALTHY, TOO_COLD_FOR_GRID, NO_GAUSSIAN, NO_CORRECTION, NOT_POSITIVE = range(5)
+
+
+class Grid(NamedTuple):
+    """The velocity grid as numbers and arrays for the kernels (`velocity.py`)."""
+
+    dimensions: int
+    points: tuple[int, int, int]
+    slab_size: int
+    block: int
+    below: int
+    weight: float
+    x: np.ndarray
+    x_face: np.ndarray
+    slab: np.ndarray
+    nodes: np.ndarray
+    per_spacing: tuple[float, float, float]
+    half_width: tuple[float, float, float]
+
+
+class Space(NamedTuple):
+    """The cells of a rank: counts, ghost widths of g, 1/dx and 1/dy, 0 in an unused direction."""
+
+    dimensions: int
+    nx: int
+    ny: int
+    wx: int
+    wy: int
+    per_dx: float
+    per_dy: float
+
+
+class Model(NamedTuple):
+    """What is solved: numbers the kernels branch on or multiply by."""
+
+    kinetic: bool
+    conservative: bool
+    kappa: bool
+    collisions: bool
+    nu: float
+    relaxation: float
+    density_power: float
+    temperature_power: float
+    cooling: float
+
+
+class Cells(NamedTuple):
+    """Fields of the cells at one time level: what a stage reads, and what it writes of the next.
+
+    omega has one ghost cell in each direction in use; carried (ny, nx, 5) are rho, rho u, E of f; sums (ny, nx, 10) those
+    of 1, xi, xi xi over g's nodes.
+    """
+
+    omega: np.ndarray
+    carried: np.ndarray
+    sums: np.ndarray
+
+
+def kernel_grid(grid: VelocityGrid) -> Grid:
+    """The grid's numbers and arrays as the kernels take them."""
+    y = grid.slab[Y, : grid.slab_points]
+    return Grid(
+        grid.dimensions,
+        grid.points,
+        grid.slab_size,
+        grid.block,
+        int(np.count_nonzero(y < 0)) if grid.points[1] > 1 else 0,
+        grid.weight,
+        grid.x,
+        grid.x_face,
+        grid.slab.reshape(-1),
+        grid.nodes,
+        (1 / grid.spacing[0], 1 / grid.spacing[1], 1 / grid.spacing[2]),
+        grid.half_width,
+    )
+
+
+class Work(NamedTuple):
+    """Work space of a stage: blocks of one cell, one row of fluxes, and small arrays."""
+
+    west: np.ndarray
+    east: np.ndarray
+    south: np.ndarray
+    north: np.ndarray
+    result: np.ndarray
+    gaussian: np.ndarray
+    scratch: np.ndarray
+    south_moments: np.ndarray
+    rates: np.ndarray
+    extremes: np.ndarray
+    vectors: np.ndarray
+    correction: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+    fit: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+
+    @classmethod
+    def create(cls, grid: Grid, nx: int) -> Work:
+        """Work space for rows of nx cells."""
+        from rvm_mpi.domain import aligned
+
+        row = grid.slab_size + 2 * (grid.points[2] + 8)
+        nvx = grid.points[0]
+        return cls(
+            *(aligned((grid.block,)) for _ in range(2)),
+            aligned((grid.block * nx,)),
+            *(aligned((grid.block,)) for _ in range(3)),
+            aligned((drift.SCRATCH_ROWS * row + 8,)),
+            np.zeros((nx, 5)),
+            np.zeros(9),
+            np.zeros(16),
+            np.zeros((14, SUMS)),
+            (np.ones(nvx), aligned((grid.slab_size,)), np.zeros(5 * nvx), np.zeros((5, 5)), np.zeros((3, 5))),
+            (np.zeros(10), np.zeros(75), np.zeros(600), np.zeros((10, 10)), np.zeros((5, 10))),
+        )
+
+
+@njit(**KERNEL)
+def cooled(thermal, density, d, cooling, dt):  # type: ignore[no-untyped-def]
+    """Thermal energy d rho T/2 after dt of dT/dt = -2 cooling rho T^(3/2), exactly (Haff), forwards or backwards."""
+    root = math.sqrt(2.0 * thermal / (d * density))
+    return thermal / (1.0 + cooling * density * root * dt) ** 2
+
+
+@njit(**KERNEL)
+def relaxation_rate(model, density, temperature):  # type: ignore[no-untyped-def]
+    """tau(rho, T)/eps of f."""
+    return model.relaxation * density**model.density_power * temperature**model.temperature_power
+
+
+@njit(**KERNEL)
+def through(moments, omega, weight, flux):  # type: ignore[no-untyped-def]
+    """Rates of mass, momentum and energy of f through a face, from the sums of the flux of g times 1, xi, |xi|^2."""
+    flux[0] = weight * moments[0]
+    for q in range(1, 4):
+        flux[q] = weight * omega * moments[q]
+    flux[4] = 0.5 * weight * omega * omega * moments[4]
+
+
+@njit(**KERNEL)
+def blend(nu, d, first, sums, wanted, temperature, weight_first, weight_last, whole, centre, tensor):  # type: ignore[no-untyped-def]
+    """Mean and temperature tensor of weight_first G[g^n] + weight_last G[result], one Gaussian for both; returns its sum.
+
+    The result's own stress follows from the stage's implicit equation in closed form:
+    (whole - weight_last nu) rho Theta = second moments of the explicit part and of the first Gaussian
+    + weight_last (1 - nu) rho T I - (whole - weight_last) rho u u.
+
+    Parameters
+    ----------
+    first, sums : (>= 10,) arrays
+        Sums 1, xi, xi xi of g^n and of the explicit part.
+    wanted : (5,) array
+        Sums 1, xi, |xi|^2/2 of the result; `temperature` is the one they give.
+    centre, tensor : arrays
+        Receive the mean (3) and the tensor (6).
+    """
+    share = weight_first + weight_last
+    rho0, rho = first[0], wanted[0]
+    trace0 = (first[4] + first[7] + first[9]) - (first[1] ** 2 + first[2] ** 2 + first[3] ** 2) / rho0
+    density = (weight_first * rho0 + weight_last * rho) / share
+    for i in range(3):
+        centre[i] = (weight_first * first[1 + i] + weight_last * wanted[1 + i]) / (share * density)
+    q = 0
+    for a in range(3):
+        for b in range(a, 3):
+            own0, own = 0.0, 0.0
+            if a == b and a < d:
+                own0 = (1.0 - nu) * trace0 / d
+                own = (1.0 - nu) * rho * temperature
+            uu0 = first[1 + a] * first[1 + b] / rho0
+            uu = wanted[1 + a] * wanted[1 + b] / rho
+            second0 = own0 + nu * (first[4 + q] - uu0) + uu0
+            stress = (sums[4 + q] + weight_first * second0 + weight_last * own - (whole - weight_last) * uu) / (
+                whole - weight_last * nu
+            )
+            second = own + nu * stress + uu
+            tensor[q] = (weight_first * second0 + weight_last * second) / (share * density) - centre[a] * centre[b]
+            q += 1
+    return density
+
+
+@njit(**KERNEL)
+def mix(block, factor_x, factor_slab, own, gaussian, share, points_x, slab_size, slab, out, at, extremes):  # type: ignore[no-untyped-def]
+    """out = own * block * factor + share * gaussian, with the smallest and largest value in `extremes`."""
+    low, high = splat(1e300), splat(-1e300)
+    for k in range(points_x):
+        f = factor_x[k] * own
+        base = k * slab_size
+        for n in range(0, slab_size, 8):
+            value = load(block, base + n) * (load(factor_slab, n) * f)
+            if share > 0.0:
+                value = value + load(gaussian, base + n) * share
+            valid = load(slab, VALID * slab_size + n)
+            value = value * valid
+            store(out, at + base + n, value)
+            low = minimum(low, value + (splat(1.0) - valid) * 1e300)
+            high = maximum(high, value)
+    store(extremes, 0, low)
+    store(extremes, 8, high)
+    smallest, largest = extremes[0], extremes[8]
+    for lane in range(1, 8):
+        smallest, largest = min(smallest, extremes[lane]), max(largest, extremes[8 + lane])
+    extremes[0], extremes[1] = smallest, largest
+
+
+@njit(**KERNEL)
+def sweep(  # type: ignore[no-untyped-def]
+    grid, space, model, second, dt, g, out, start, stage, new, growth, omega_end, depth, diagnostics, sides, work
+):
+    """One stage for all cells of a rank.
+
+    The first stage takes g^n to g* = relax(g^n + dt L(g^n)); the second, from g*, to
+    g^(n+1) = relax(1/2 g^n + 1/2 (g* + dt L(g*))), both with an implicit relaxation of the same depth (docs/method.md).
+
+    Parameters
+    ----------
+    second : bool
+        Which of the two stages. The second writes over g^n, cell by cell.
+    g, out : flat arrays
+        Ghosted blocks read and written.
+    start, stage, new : Cells
+        At t^n; at the beginning of this stage; receives this stage's result (interior of omega, carried, sums).
+    growth, omega_end : (ny, nx) arrays
+        ln(omega^(n+1)/omega^n)/dt and omega^(n+1), where the scaling does not follow from the kinetic moments.
+    depth : (ny, nx) array
+        Relaxation depth dt tau/eps averaged over the step; the first stage writes it, the second reads it.
+    diagnostics : (ny, nx, 8) array
+        Receives the columns named at the top of this module.
+    sides : tuple of four (n, 5) arrays
+        Receive the rates of mass, momentum and energy through the outermost faces (x lower, x upper, y lower, y upper),
+        counted along +x and +y, per area of face times 1/dx or 1/dy.
+    """
+    d, points, slab_size, block, weight = grid.dimensions, grid.points, grid.slab_size, grid.block, grid.weight
+    points_x = points[0]
+    nx, ny, wx, wy = space.nx, space.ny, space.wx, space.wy
+    row = (nx + 2 * wx) * block
+    gx, gy = min(wx, 1), min(wy, 1)
+    omega = stage.omega
+    west, east, south, north = work.west, work.east, work.south, work.north
+    south_moments, rates, v, extremes = work.south_moments, work.rates, work.vectors, work.extremes
+    west_moments, east_moments, north_moments = v[0], v[1], v[2]
+    west_through, north_through, south_through, east_through = v[3], v[4], v[5], v[6]
+    target, sums, m0, wanted, tensor, centre, fitted = v[7], v[8], v[9], v[10], v[11], v[12], v[13]
+    factor_x, factor_slab = work.correction[0], work.correction[1]
+    for i in range(nx):
+        for q in range(5):
+            south_moments[i, q] = 0.0
+        for n in range(0, block, 8):
+            store(south, i * block + n, splat(0.0))
+    for n in range(0, block, 8):
+        store(north, n, splat(0.0))
+        store(east, n, splat(0.0))
+    for q in range(5):
+        north_moments[q], east_moments[q], west_moments[q] = 0.0, 0.0, 0.0
+    for j in range(ny):
+        for i in range(nx):
+            cell = (j + wy) * row + (i + wx) * block
+            here = omega[j + gy, i + gx]
+            omega_w, omega_e, omega_s, omega_n = here, here, here, here
+            if space.dimensions >= 1:
+                omega_w = 0.5 * (omega[j + gy, i] + here)
+                omega_e = 0.5 * (here + omega[j + gy, i + 2])
+                if i == 0:
+                    flux_x(g, cell - block, block, points_x, slab_size, grid.x, grid.slab, omega_w * space.per_dx, west, west_moments)
+                flux_x(g, cell, block, points_x, slab_size, grid.x, grid.slab, omega_e * space.per_dx, east, east_moments)
+            if space.dimensions == 2:
+                omega_s = 0.5 * (omega[j, i + gx] + here)
+                omega_n = 0.5 * (here + omega[j + 2, i + gx])
+                if j == 0:
+                    flux_y(
+                        g, cell - row, row, points_x, slab_size, grid.below, grid.x, grid.slab, omega_s * space.per_dy, north, north_moments
+                    )
+                    for n in range(0, block, 8):
+                        store(south, i * block + n, load(north, n))
+                    for q in range(5):
+                        south_moments[i, q] = north_moments[q]
+                flux_y(g, cell, row, points_x, slab_size, grid.below, grid.x, grid.slab, omega_n * space.per_dy, north, north_moments)
+            through(west_moments, omega_w, weight, west_through)
+            through(east_moments, omega_e, weight, east_through)
+            through(south_moments[i], omega_s, weight, south_through)
+            through(north_moments, omega_n, weight, north_through)
+            for q in range(5):
+                if i == 0:
+                    sides[0][j, q] = west_through[q]
+                if i == nx - 1:
+                    sides[1][j, q] = east_through[q]
+                if j == 0:
+                    sides[2][i, q] = south_through[q]
+                if j == ny - 1:
+                    sides[3][i, q] = north_through[q]
+                west_moments[q] = east_moments[q]
+                south_moments[i, q] = north_moments[q]
+                # from here on `east_through` holds the net rate of the cell
+                east_through[q] = (west_through[q] - east_through[q]) + (south_through[q] - north_through[q])
+            rate = east_through
+
+            # the state at the beginning of this stage, in f's units
+            old = stage.carried[j, i]
+            if model.conservative:
+                density, energy = old[0], old[4]
+                ux, uy, uz = old[1] / density, old[2] / density, old[3] / density
+            else:
+                s = stage.sums[j, i]
+                density = weight * s[0]
+                ux, uy, uz = here * s[1] / s[0], here * s[2] / s[0], here * s[3] / s[0]
+                energy = 0.5 * weight * here * here * (s[4] + s[7] + s[9])
+            kinetic_energy = 0.5 * density * (ux * ux + uy * uy + uz * uz)
+            thermal = energy - kinetic_energy
+            status = HEALTHY
+            if not (density > 0.0 and thermal > 0.0):
+                diagnostics[j, i, STATUS] = NOT_POSITIVE
+                continue
+            temperature = 2.0 * thermal / (d * density)
+
+            # cooling: one rate for drag and scaling, the mean over the step (ahead in the first stage, behind in the second)
+            beta = 0.0
+            if model.cooling > 0.0:
+                frequency = model.cooling * density * math.sqrt(temperature)
+                beta = frequency
+                if dt > 0.0:
+                    beta = -math.log(max(1.0 - frequency * dt, 1e-3)) / dt if second else math.log(1.0 + frequency * dt) / dt
+            if model.kinetic:
+                transported = 0.5 * (rate[4] / energy - rate[0] / density)
+                total_rate = transported + beta * (kinetic_energy / energy)
+            else:
+                total_rate = growth[j, i] + beta
+            rates[0] = total_rate
+            rates[1] = (omega_e - omega_w) * space.per_dx
+            rates[2] = (omega_n - omega_s) * space.per_dy
+            rates[3], rates[4], rates[5] = beta * ux / here, beta * uy / here, beta * uz / here
+            rates[6], rates[7], rates[8] = grid.per_spacing[0], grid.per_spacing[1], grid.per_spacing[2]
+            fastest = max(omega_w, omega_e) * grid.half_width[0] * space.per_dx
+            fastest += max(omega_s, omega_n) * grid.half_width[1] * space.per_dy
+            turning = abs(total_rate) + abs(rates[1]) * grid.half_width[0] + abs(rates[2]) * grid.half_width[1]
+            for q in range(d):
+                fastest += (turning * grid.half_width[q] + abs(rates[3 + q])) * grid.per_spacing[q]
+
+            # transport and drift
+            z = depth[j, i] if second else 0.0
+            weight_old, weight_new = (0.5, 0.5 * (1.0 + z)) if second else (0.0, 1.0)
+            drift.update(
+                g,
+                cell,
+                points,
+                slab_size,
+                grid.x,
+                grid.x_face,
+                grid.slab,
+                rates,
+                west,
+                east,
+                south,
+                i * block,
+                north,
+                out,
+                weight_old,
+                weight_new,
+                dt,
+                model.kappa,
+                work.scratch,
+                work.result,
+            )
+
+            # the carried moments at the end of the stage
+            first = start.sums[j, i]
+            dissipated = 0.0
+            mismatch = 0.0
+            if model.conservative:
+                u = new.carried[j, i]
+                for q in range(5):
+                    u[q] = old[q] + dt * rate[q]
+                if second:
+                    begin = start.carried[j, i]
+                    before = begin[4] - 0.5 * (begin[1] ** 2 + begin[2] ** 2 + begin[3] ** 2) / begin[0]
+                    dissipated = before - cooled(before, begin[0], d, model.cooling, dt)
+                    for q in range(5):
+                        u[q] = 0.5 * begin[q] + 0.5 * u[q]
+                    u[4] -= 0.5 * dissipated
+                    dissipated *= 0.5
+                else:
+                    if not u[0] > 0.0:
+                        diagnostics[j, i, STATUS] = NOT_POSITIVE
+                        continue
+                    before = u[4] - 0.5 * (u[1] ** 2 + u[2] ** 2 + u[3] ** 2) / u[0]
+                    if not before > 0.0:
+                        diagnostics[j, i, STATUS] = NOT_POSITIVE
+                        continue
+                    dissipated = before - cooled(before, u[0], d, model.cooling, dt)
+                    u[4] -= dissipated
+                    dissipated *= 0.5
+                if not (u[0] > 0.0 and u[4] > 0.5 * (u[1] ** 2 + u[2] ** 2 + u[3] ** 2) / u[0]):
+                    diagnostics[j, i, STATUS] = NOT_POSITIVE
+                    continue
+                omega_new = math.sqrt(2.0 * u[4] / (d * u[0])) if model.kinetic else omega_end[j, i]
+                wanted[0] = u[0] / weight
+                for q in range(3):
+                    wanted[1 + q] = u[1 + q] / (weight * omega_new)
+                wanted[4] = u[4] / (weight * omega_new * omega_new)
+            else:
+                omega_new = omega_end[j, i]
+                for k in range(points_x):
+                    factor_x[k] = 1.0
+                for n in range(0, slab_size, 8):
+                    store(factor_slab, n, splat(1.0))
+                for q in range(3):
+                    target[q] = 0.0
+                weighted_sums(work.result, target, points_x, slab_size, grid.x, grid.slab, factor_x, factor_slab, work.correction[2], sums)
+                before = cooled(thermal, density, d, model.cooling, -dt if second else dt)
+                dissipated = 0.5 * abs(thermal - before)
+            for q in range(4):
+                m0[q] = first[q]
+            m0[4] = 0.5 * (first[4] + first[7] + first[9])
+            weight_first = 0.5 * z
+            if not model.conservative:
+                wanted[4] = 0.5 * (sums[4] + sums[7] + sums[9])
+                for q in range(4):
+                    wanted[q] = sums[q]
+                if second:
+                    for q in range(5):
+                        wanted[q] = (wanted[q] + weight_first * m0[q]) / (1.0 + z)
+            density_new = wanted[0]
+            if not density_new > 0.0:
+                diagnostics[j, i, STATUS] = NOT_POSITIVE
+                continue
+            speed2 = (wanted[1] ** 2 + wanted[2] ** 2 + wanted[3] ** 2) / density_new**2
+            temperature_new = (2.0 * wanted[4] / density_new - speed2) / d
+            if not temperature_new > 0.0:
+                diagnostics[j, i, STATUS] = NOT_POSITIVE
+                continue
+            if model.collisions and not second:
+                z0 = relaxation_rate(model, density, temperature)
+                z1 = relaxation_rate(model, density_new * weight, temperature_new * omega_new * omega_new)
+                z = 0.5 * dt * (z0 + z1)
+                depth[j, i] = z
+            weight_last = 0.5 * z * z if second else z
+            if not second:
+                weight_first = 0.0
+            whole = 1.0 + z + weight_last if second else 1.0 + z
+            if model.conservative:
+                for q in range(5):
+                    target[q] = (whole - weight_last) * wanted[q] - weight_first * m0[q]
+                mismatch = correct(work.result, target, d, points_x, slab_size, grid.x, grid.slab, work.correction, sums)
+                if mismatch < 0.0:
+                    diagnostics[j, i, STATUS] = NO_CORRECTION
+                    continue
+            share = weight_first + weight_last
+            replaced = 0.0
+            if model.collisions and share > 0.0:
+                density_blend = blend(
+                    model.nu, d, first, sums, wanted, temperature_new, weight_first, weight_last, whole, centre, tensor
+                )
+                answer = discrete_gaussian(
+                    density_blend,
+                    centre,
+                    tensor,
+                    d,
+                    points,
+                    slab_size,
+                    grid.x,
+                    grid.slab,
+                    grid.nodes,
+                    work.fit,
+                    work.gaussian,
+                    fitted,
+                )
+                # its mass to round-off, not only to Newton's tolerance
+                share *= density_blend / fitted[0] if answer <= REPLACED else 0.0
+                if answer == REPLACED:
+                    replaced = 1.0
+                elif answer == TOO_COLD:
+                    status = TOO_COLD_FOR_GRID
+                elif answer == FAILED:
+                    status = NO_GAUSSIAN
+            done = new.sums[j, i]
+            for q in range(10):
+                done[q] = sums[q] / whole
+                if share > 0.0:
+                    done[q] += fitted[q] * (share / whole)
+            mix(
+                work.result,
+                factor_x,
+                factor_slab,
+                1.0 / whole,
+                work.gaussian,
+                share / whole,
+                points_x,
+                slab_size,
+                grid.slab,
+                out,
+                cell,
+                extremes,
+            )
+            new.omega[j + gy, i + gx] = omega_new
+            diagnostics[j, i, SMALLEST] = extremes[0]
+            diagnostics[j, i, LARGEST] = extremes[1]
+            diagnostics[j, i, MISMATCH] = mismatch
+            diagnostics[j, i, GAUSSIANS_REPLACED] = replaced
+            diagnostics[j, i, RATE] = fastest
+            diagnostics[j, i, DISSIPATED] = dissipated
+            diagnostics[j, i, COOLING_RATE] = 2.0 * beta * thermal / energy
+            diagnostics[j, i, STATUS] = status

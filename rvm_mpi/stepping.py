@@ -1,0 +1,390 @@
+"""The time integrator of the kinetic equation: two stages a step, ghost cells before each.
+
+    g* = relax(g^n + dt L(g^n)),   g^(n+1) = relax(1/2 g^n + 1/2 (g* + dt L(g*)))
+
+with L the transport and the total drift, and an implicit relaxation to the discrete Gaussian (`stage.py`,
+docs/method.md). The scaling is given from outside ("none", "macroscopic") or follows from the carried moments ("kinetic").
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numba import njit
+
+from rvm_mpi import stage
+from rvm_mpi.collisions.es_bgk import EXACT, REPLACED, discrete_gaussian
+from rvm_mpi.job import JobError
+from rvm_mpi.kinetic.walls import KINDS, fill_side
+from rvm_mpi.moments import all_sums, fields
+from rvm_mpi.simd import KERNEL
+from rvm_mpi.stage import Cells, Model, Space, Work
+from rvm_mpi.velocity import VelocityGrid
+
+if TYPE_CHECKING:
+    from rvm_mpi.domain import Domain
+    from rvm_mpi.job import Job
+
+#: ghost cells of g: Van Leer's stencil reaches two cells
+GHOSTS = 2
+SIDES = ("x-lower", "x-upper", "y-lower", "y-upper")
+_PROBLEMS = {
+    stage.TOO_COLD_FOR_GRID: "the velocity grid cannot hold the temperature: T_g is below what its spacing resolves",
+    stage.NO_GAUSSIAN: "no Gaussian on the velocity grid has the moments wanted",
+    stage.NO_CORRECTION: "g could not be corrected to its mass, momentum and energy",
+    stage.NOT_POSITIVE: "density or temperature is not positive",
+}
+
+
+class NumericalFailure(RuntimeError):
+    """The run cannot go on: what happened, in which cell, in one line."""
+
+
+@dataclass
+class StepReport:
+    """What a step leaves for the diagnostics; cell arrays are (ny, nx) of this rank.
+
+    Attributes
+    ----------
+    smallest, largest : float
+        Of g on this rank.
+    mismatch : float
+        The largest relative mismatch of a cell's moments that the correction removed, on this rank.
+    replaced : int
+        Cells (of this rank, over both stages) whose Gaussian had to take the nearest tensor the grid can hold.
+    dissipated : (ny, nx) array
+        Energy per volume that collisions took during the step.
+    entered : dict of side -> (n, 5) array
+        Mass, momentum and energy per area (times 1/h of its direction) that entered through each face of a physical side.
+    """
+
+    smallest: float
+    largest: float
+    mismatch: float
+    replaced: int
+    dissipated: np.ndarray
+    entered: dict[str, np.ndarray]
+
+
+@njit(**KERNEL)
+def _fill_gaussians(g, space, grid, density, mean, tensors, work, block, status):  # type: ignore[no-untyped-def]
+    """Discrete Gaussians with the given sums, means and tensors in every cell; status (ny, nx) of each."""
+    moments = np.zeros(10)
+    row = (space.nx + 2 * space.wx) * grid.block
+    for j in range(space.ny):
+        for i in range(space.nx):
+            status[j, i] = discrete_gaussian(
+                density[j, i],
+                mean[j, i],
+                tensors[j, i],
+                grid.dimensions,
+                grid.points,
+                grid.slab_size,
+                grid.x,
+                grid.slab,
+                grid.nodes,
+                work,
+                block,
+                moments,
+            )
+            cell = (j + space.wy) * row + (i + space.wx) * grid.block
+            scale = density[j, i] / moments[0]
+            for n in range(grid.block):
+                g[cell + n] = scale * block[n]
+
+
+class KineticStepper:
+    """g on this rank's cells and the two-stage step that advances it.
+
+    Parameters
+    ----------
+    job : Job
+    domain : Domain
+    density, velocity, tensor : arrays (ny, nx), (ny, nx, d), (ny, nx, d, d)
+        Initial state of f: its density, mean velocity and temperature tensor.
+
+    Attributes
+    ----------
+    g : (ny + 2 wy, nx + 2 wx, block) array
+        The rescaled distribution, ghost cells included.
+    now : stage.Cells
+        omega, carried moments and sums that belong to g.
+    rate, cooling_rate : float
+        Largest over this rank's cells of sum max|a|/h, and of |d ln E/dt| by dissipation, in the last stage.
+    """
+
+    def __init__(self, job: Job, domain: Domain, density: np.ndarray, velocity: np.ndarray, tensor: np.ndarray) -> None:
+        self.job, self.domain = job, domain
+        self.velocity_grid = VelocityGrid.create(job.velocity.points, job.velocity.half_width)
+        self.grid = stage.kernel_grid(self.velocity_grid)
+        self.model = _model(job)
+        wy, wx = domain.ghosts(GHOSTS)
+        nx, ny = domain.local
+        per = [1.0 / h if q < domain.dimensions else 0.0 for q, h in enumerate(domain.spacing)]
+        self.space = Space(domain.dimensions, nx, ny, wx, wy, per[0], per[1])
+        self.work = Work.create(self.grid, nx)
+        self.g, self._other = (domain.empty(GHOSTS, self.grid.block) for _ in range(2))
+        self.now, self._middle, self._next = (self._cells() for _ in range(3))
+        self._growth, self._depth = np.zeros((ny, nx)), np.zeros((ny, nx))
+        self._omega_end = np.ones((ny, nx))
+        self._diagnostics = np.zeros((ny, nx, stage.DIAGNOSTICS))
+        self._sides = tuple(np.zeros((n, 5)) for n in (ny, ny, nx, nx))
+        self._through = tuple(np.zeros((n, 5)) for n in (ny, ny, nx, nx))
+        self._far = {name: self._side_states(name, density, velocity, tensor) for name in SIDES if domain.on_side(name)}
+        self.rate = self.cooling_rate = 0.0
+        self._set(density, velocity, tensor)
+
+    def _cells(self) -> Cells:
+        nx, ny = self.domain.local
+        wy, wx = self.domain.ghosts(1)
+        return Cells(np.ones((ny + 2 * wy, nx + 2 * wx)), np.zeros((ny, nx, 5)), np.zeros((ny, nx, 10)))
+
+    @property
+    def rescaled(self) -> bool:
+        """Whether omega differs from one."""
+        return self.job.scaling.kind != "none"
+
+    @property
+    def omega(self) -> np.ndarray:
+        """omega (ny, nx) on this rank's own cells."""
+        return self._interior(self.now.omega)
+
+    def _interior(self, array: np.ndarray) -> np.ndarray:
+        wy, wx = self.domain.ghosts(1)
+        nx, ny = self.domain.local
+        return array[wy : wy + ny, wx : wx + nx]
+
+    def _set(self, density: np.ndarray, velocity: np.ndarray, tensor: np.ndarray) -> None:
+        """g of the initial state: the discrete Gaussian with its moments, in its own omega."""
+        d, grid = self.grid.dimensions, self.grid
+        speed2 = np.sum(velocity**2, axis=-1)
+        trace = np.trace(tensor, axis1=-2, axis2=-1)
+        omega = np.sqrt((trace + speed2) / d) if self.rescaled else np.ones_like(density)
+        self._interior(self.now.omega)[...] = omega
+        mean = np.zeros((*density.shape, 3))
+        mean[..., :d] = velocity / omega[..., None]
+        packed = np.zeros((*density.shape, 6))
+        for place, (a, b) in enumerate([(0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)]):
+            if b < d:
+                packed[..., place] = tensor[..., a, b] / omega**2
+        status = np.zeros(density.shape, dtype=np.int64)
+        _fill_gaussians(
+            self.g.reshape(-1), self.space, grid, density / grid.weight, mean, packed, self.work.fit, self.work.gaussian, status
+        )
+        worst = int(self.domain.maximum(float(status.max()))[0])
+        if worst > EXACT:
+            self._refuse_state(worst, status, mean, packed)
+        self.refresh_sums()
+        carried = self.now.carried
+        carried[..., 0] = density
+        carried[..., 1 : 1 + d] = density[..., None] * velocity
+        carried[..., 4] = 0.5 * density * (trace + speed2)
+
+    def _refuse_state(self, worst: int, status: np.ndarray, mean: np.ndarray, packed: np.ndarray) -> None:
+        what = "replaced by the nearest tensor" if worst == REPLACED else "impossible"
+        half = max(self.job.velocity.half_width)
+        spacing = ", ".join(f"{h:.3g}" for h in self.velocity_grid.spacing[: self.grid.dimensions])
+        raise JobError(
+            f"{self.job.name}: velocity: the initial state does not fit the velocity grid (half width {half:g}, spacing "
+            f"{spacing}): a Gaussian with its mean and temperature in some cell is {what}; take more points or another half_width"
+        )
+
+    def refresh_sums(self) -> None:
+        """Measure the sums of g over the nodes."""
+        n = self.grid.points[0]
+        all_sums(
+            self.g.reshape(-1), self.space, self.grid, np.zeros(5 * n), np.ones(n), np.ones(self.grid.slab_size), self.now.sums
+        )
+
+    def _side_states(self, name: str, density: np.ndarray, velocity: np.ndarray, tensor: np.ndarray) -> np.ndarray:
+        """rho, u, T of the wall or the far gas along a side: what the job says, else the initial state there."""
+        d = self.grid.dimensions
+        edge = {"x-lower": np.s_[:, 0], "x-upper": np.s_[:, -1], "y-lower": np.s_[0, :], "y-upper": np.s_[-1, :]}[name]
+        boundary = self.job.space.sides[name]
+        states = np.zeros((density[edge].size, 5))
+        states[:, 0] = density[edge]
+        states[:, 1 : 1 + d] = velocity[edge]
+        states[:, 4] = np.trace(tensor[edge], axis1=-2, axis2=-1) / d
+        if boundary.density is not None:
+            states[:, 0] = boundary.density
+        if boundary.velocity is not None:
+            states[:, 1 : 1 + d] = boundary.velocity
+        if boundary.temperature is not None:
+            states[:, 4] = boundary.temperature
+        return states
+
+    def _fill_ghosts(self, g: np.ndarray, cells: Cells) -> None:
+        """Ghost cells of g and omega: from the neighbours, then what lies beyond the physical sides."""
+        self.domain.exchange(g, GHOSTS)
+        self.domain.exchange(cells.omega[..., None], 1)
+        nx, ny = self.domain.local
+        wy, wx = self.domain.ghosts(1)
+        block, row = self.grid.block, self.grid.block * (nx + 2 * self.space.wx)
+        first = self.space.wy * row + self.space.wx * block
+        along = {"x": row, "y": block}
+        for name, states in self._far.items():
+            axis, lower = "xy".index(name[0]), name.endswith("lower")
+            inward = (block, row)[axis] * (1 if lower else -1)
+            inner = first if lower else first + ((nx - 1) * block if axis == 0 else (ny - 1) * row)
+            ghost, inside = (0, 1) if lower else (-1, -2)
+            if axis == 0:
+                omega = cells.omega[wy : wy + ny, inside]
+                cells.omega[wy : wy + ny, ghost] = omega
+            else:
+                omega = cells.omega[inside, wx : wx + nx]
+                cells.omega[ghost, wx : wx + nx] = omega
+            boundary = self.job.space.sides[name]
+            accommodation = 1.0 if boundary.accommodation is None else float(boundary.accommodation)
+            kind = KINDS[boundary.kind]
+            if boundary.kind == "maxwell" and accommodation == 0.0:
+                kind = KINDS["specular"]
+            sign = 1 if lower else -1
+            fill_side(
+                g.reshape(-1), inner, along[name[0]], inward, omega.size, axis, sign, kind, accommodation, states, omega.copy(), self.grid
+            )
+
+    def set_scaling(self, omega_end: np.ndarray, dt: float) -> None:
+        """omega (ny, nx) at the end of the coming step, where it is given from outside; its rate is the step's mean."""
+        self._omega_end[...] = omega_end
+        if dt > 0.0:
+            self._growth[...] = np.log(omega_end / self.omega) / dt
+
+    def first_stage(self, dt: float) -> None:
+        """g* from g^n, which stays as it is: with dt = 0 this only measures the rates.
+
+        Raises
+        ------
+        NumericalFailure
+            On every rank where a cell of any rank lost what it needs to go on.
+        """
+        self._fill_ghosts(self.g, self.now)
+        self._sweep(False, dt, self.g, self._other, self.now, self._middle)
+
+    def second_stage(self, dt: float) -> StepReport:
+        """g^(n+1) from g* and g^n, written over g^n."""
+        first = self._diagnostics.copy()
+        for mean, side in zip(self._through, self._sides):
+            mean[...] = side
+        self._fill_ghosts(self._other, self._middle)
+        self._sweep(True, dt, self._other, self.g, self._middle, self._next)
+        self.now, self._next = self._next, self.now
+        last = self._diagnostics
+        for mean, side in zip(self._through, self._sides):
+            mean[...] = 0.5 * (mean + side)
+        entered = {
+            name: (dt if name.endswith("lower") else -dt) * self._through[SIDES.index(name)]
+            for name in SIDES
+            if self.domain.on_side(name)
+        }
+        return StepReport(
+            smallest=float(last[..., stage.SMALLEST].min()),
+            largest=float(last[..., stage.LARGEST].max()),
+            mismatch=float(max(first[..., stage.MISMATCH].max(), last[..., stage.MISMATCH].max())),
+            replaced=int((first[..., stage.GAUSSIANS_REPLACED] + last[..., stage.GAUSSIANS_REPLACED]).sum()),
+            dissipated=first[..., stage.DISSIPATED] + last[..., stage.DISSIPATED],
+            entered=entered,
+        )
+
+    def measure_sides(self) -> None:
+        """Take the rates through the physical sides from the last stage alone: at the start, before any step."""
+        for mean, side in zip(self._through, self._sides):
+            mean[...] = side
+
+    @property
+    def through(self) -> dict[str, np.ndarray]:
+        """Mean rates of mass, momentum and energy of the last step through this rank's faces of physical sides, per area,
+        counted along +x and +y: arrays (n, 5)."""
+        spacing = {"x": self.domain.spacing[0], "y": self.domain.spacing[1]}
+        return {
+            name: self._through[SIDES.index(name)] * spacing[name[0]] for name in SIDES if self.domain.on_side(name)
+        }
+
+    def _sweep(self, second: bool, dt: float, g: np.ndarray, out: np.ndarray, begin: Cells, new: Cells) -> None:
+        stage.sweep(
+            self.grid,
+            self.space,
+            self.model,
+            second,
+            dt,
+            g.reshape(-1),
+            out.reshape(-1),
+            self.now,
+            begin,
+            new,
+            self._growth,
+            self._omega_end,
+            self._depth,
+            self._diagnostics,
+            self._sides,
+            self.work,
+        )
+        local = self._diagnostics
+        rate, cooling = float(local[..., stage.RATE].max()), float(local[..., stage.COOLING_RATE].max())
+        status = float(local[..., stage.STATUS].max())
+        if not (math.isfinite(rate) and math.isfinite(cooling)):
+            status = max(status, float(stage.NOT_POSITIVE))
+        self.rate, self.cooling_rate, worst = self.domain.maximum(rate, cooling, status)
+        if worst > stage.HEALTHY:
+            self._fail(int(worst))
+
+    def _fail(self, worst: int) -> None:
+        """Name the first bad cell; every rank raises, the line is the same on all."""
+        bad = np.argwhere(self._diagnostics[..., stage.STATUS] == worst)
+        i0, j0 = self.domain.start
+        nx, ny = self.domain.cells
+        place = float(nx * ny)
+        if bad.size:
+            place = float((bad[0][0] + j0) * nx + bad[0][1] + i0)
+        first = int(-self.domain.maximum(-place)[0])
+        j, i = divmod(first, nx)
+        raise NumericalFailure(f"{_PROBLEMS[worst]} in cell ({i}, {j})")
+
+    def fields(self) -> dict[str, np.ndarray]:
+        """Moments of f on this rank's cells (`moments.fields`)."""
+        return fields(self.g, self.omega, self.now.sums, self.space, self.grid)
+
+    def macroscopic(self) -> tuple[np.ndarray, np.ndarray]:
+        """rho, rho u, E (ny, nx, 5) of f, and its temperature (ny, nx): carried where they are, else from the sums of g."""
+        d = self.grid.dimensions
+        if self.model.conservative:
+            state = self.now.carried
+        else:
+            sums, omega, weight = self.now.sums, self.omega, self.grid.weight
+            state = np.empty((*sums.shape[:2], 5))
+            state[..., 0] = weight * sums[..., 0]
+            state[..., 1:4] = weight * omega[..., None] * sums[..., 1:4]
+            state[..., 4] = 0.5 * weight * omega**2 * (sums[..., 4] + sums[..., 7] + sums[..., 9])
+        density = state[..., 0]
+        thermal = state[..., 4] - 0.5 * np.sum(state[..., 1:4] ** 2, axis=-1) / density
+        return state, 2.0 * thermal / (d * density)
+
+    def marginal(self) -> np.ndarray:
+        """First marginal of g: its integral over xi_y, xi_z, (ny, nx, points)."""
+        nx, ny = self.domain.local
+        wy, wx = self.domain.ghosts(GHOSTS)
+        inner = self.velocity_grid.unpack(self.g[wy : wy + ny, wx : wx + nx])
+        return inner.sum(axis=(-2, -1)) * (self.grid.weight / self.velocity_grid.spacing[0])
+
+
+def _model(job: Job) -> Model:
+    """The job's physics as the numbers the kernels take."""
+    collision = job.collision
+    collisions = collision.operator in ("es-bgk", "granular-es-bgk")
+    if not collisions and collision.operator != "none":
+        raise JobError(f'{job.name}: collision.operator: "{collision.operator}" is not in this version of rvm_mpi')
+    law = collision.relaxation
+    kinetic = job.scaling.kind == "kinetic"
+    return Model(
+        kinetic=kinetic,
+        conservative=kinetic or bool(job.scheme.conservative),
+        kappa=job.scheme.drift == "kappa",
+        collisions=collisions,
+        nu=1.0 - 1.0 / collision.prandtl if collisions and collision.prandtl is not None else 0.0,
+        relaxation=law.coefficient / collision.knudsen if collisions else 0.0,
+        density_power=law.density_power if collisions else 0.0,
+        temperature_power=law.temperature_power if collisions else 0.0,
+        cooling=collision.cooling,
+    )
