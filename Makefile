@@ -7,7 +7,7 @@ PYTHON := .venv/bin/python
 RANKS := 2
 # Open MPI counts cores, not hardware threads, and refuses root unless told.
 CORES := $(shell lscpu -p=CORE,SOCKET | grep -v '^\#' | sort -u | wc -l)
-MPIRUN := mpirun -n $(RANKS) --bind-to none \
+MPIRUN := $(or $(wildcard /usr/bin/mpirun.openmpi),mpirun) -n $(RANKS) --bind-to none --mca btl ^tcp \
 	$(if $(filter 0,$(shell id -u)),--allow-run-as-root) \
 	$(if $(shell [ $(CORES) -lt $(RANKS) ] && echo few),--oversubscribe)
 
