@@ -1,0 +1,189 @@
+"""How a run went: cooling beside Haff's law, the density's deviation from uniform, and the health of the numbers.
+
+Three figures into DIR/figures, as PNG and PDF: history_cooling (mean temperature and energy), history_density
+(variance of the density, and its L1 deviation from the mean with the fitted rate of damping in log t), and
+history_health (mass error, smallest g, size of the correction).
+
+    python postprocess/history.py runs/test4_clustering
+"""
+
+from __future__ import annotations
+
+import sys
+
+import common
+import matplotlib.pyplot as plt
+import numpy as np
+
+from rvm_mpi import results
+from rvm_mpi.job import Job
+
+FEWEST_FOR_A_FIT = 6
+
+
+def main(argv=None) -> int:
+    """Draw the history of one run directory; the exit status."""
+    return common.run_script(_draw, common.parser_for(__doc__, times=False), argv)
+
+
+def haff(time, temperature, density, cooling):
+    """Haff's law: T0 / (1 + cooling rho sqrt(T0) t)^2, the homogeneous gas in the Maxwellian closure."""
+    return temperature / (1 + cooling * density * np.sqrt(temperature) * np.asarray(time)) ** 2
+
+
+def mean_temperature(run, model):
+    """Sum of rho T over sum of rho, at all stored times."""
+    density, temperature = run[f"{model}_density"].values, run[f"{model}_temperature"].values
+    cells = tuple(range(1, density.ndim))
+    return (density * temperature).sum(cells) / density.sum(cells)
+
+
+def variance(run, model):
+    """Variance of the density over the domain, at all stored times."""
+    density = run[f"{model}_density"].values
+    return density.var(axis=tuple(range(1, density.ndim)))
+
+
+def deviation(run, model):
+    """Mean over the domain of |rho - mean rho| at the first time: the L1 norm on a domain of unit volume."""
+    density = run[f"{model}_density"].values
+    return np.abs(density - density[0].mean()).mean(axis=tuple(range(1, density.ndim)))
+
+
+def damping_rate(time, values):
+    """Fit values ~ time^rate: on the maxima where it oscillates, else on all positive times.
+
+    Parameters
+    ----------
+    time, values : (n,) arrays
+
+    Returns
+    -------
+    (rate, factor) of values = factor * time^rate, or None where that makes no sense: fewer than six points in all,
+    a decrease by less than a factor of two, or points that a power of time does not describe (R^2 below 0.8).
+    """
+    use = (time > 0) & (values > 0)
+    time, values = time[use], values[use]
+    if len(time) < FEWEST_FOR_A_FIT:
+        return None
+    inner = values[1:-1]
+    peaks = np.flatnonzero((inner > values[:-2]) & (inner >= values[2:])) + 1
+    if len(peaks) >= 3:
+        time, values = time[peaks], values[peaks]
+    if values[-1] > values[0] / 2:
+        return None
+    x, y = np.log(time), np.log(values)
+    rate, constant = np.polyfit(x, y, 1)
+    misfit = y - (constant + rate * x)
+    if 1 - misfit.var() / y.var() < 0.8:
+        return None
+    return float(rate), float(np.exp(constant))
+
+
+def mass_error(history):
+    """Relative change of the mass beyond what has entered through the sides (columns entered_mass_..., in sum)."""
+    entered = sum(values for name, values in history.items() if name.startswith("entered_mass"))
+    return (history["mass"] - history["mass"][0] - entered) / history["mass"][0]
+
+
+def _draw(options):
+    directory = options.directory
+    run = common.open_run(directory)
+    folder = directory if directory.is_dir() else directory.parent
+    job = Job.from_file(folder / "job.toml")
+    history = results.read_history(folder)
+    if len(history["time"]) < 2:
+        raise common.PlotError(f"{folder}/history.csv has fewer than two time steps yet")
+    common.save(_cooling(run, job, history), folder, "history_cooling")
+    if run.kinetic_density.ndim > 1:
+        common.save(_density(run), folder, "history_density")
+    common.save(_health(run, history), folder, "history_health")
+
+
+def _cooling(run, job, history):
+    figure, (left, right) = plt.subplots(1, 2, figsize=(8.6, 3.6))
+    cooling, time = job.collision.cooling, history["time"]
+    granular = cooling > 0
+    shown = time > 0 if granular else slice(None)
+    left.plot(time[shown], history["mean_temperature"][shown], **common.KINETIC, label="kinetic")
+    if "fluid_density" in run:
+        temperature = mean_temperature(run, "fluid")
+        later = run.time.values > 0 if granular else slice(None)
+        left.plot(run.time.values[later], temperature[later], "s", color="tab:orange", ms=4, label="fluid")
+    if granular:
+        start, density = mean_temperature(run, "kinetic")[0], run.kinetic_density.values[0].mean()
+        law = haff(time[shown], start, density, cooling)
+        left.plot(time[shown], law, color="black", ls=":", label="Haff's law at the mean density")
+        left.set_xscale("log")
+        left.set_yscale("log")
+    left.set_ylabel(r"mean temperature $\sum \rho T / \sum \rho$")
+    start = history["energy"][0]
+    right.plot(time[shown], history["energy"][shown] / start, **common.KINETIC, label="kinetic")
+    if "fluid_energy" in history and np.isfinite(history["fluid_energy"]).all():
+        right.plot(time[shown], history["fluid_energy"][shown] / start, **common.FLUID, label="fluid")
+    right.set_ylabel("energy / kinetic energy at the start")
+    if granular:
+        right.set_xscale("log")
+        right.set_yscale("log")
+    for axis in (left, right):
+        axis.set_xlabel("$t$")
+        axis.legend()
+    figure.suptitle(common.title_of(run))
+    return figure
+
+
+def _density(run):
+    figure, (left, right) = plt.subplots(1, 2, figsize=(8.6, 3.6))
+    time = run.time.values
+    for model in common.models(run):
+        style = {**(common.KINETIC if model == "kinetic" else common.FLUID), "marker": "o", "ms": 3}
+        left.plot(time, variance(run, model), **style, label=model)
+        values = deviation(run, model)
+        fit = damping_rate(time, values)
+        label = model if fit is None else f"{model}, rate {fit[0]:.3g} in $\\log t$"
+        right.plot(time, values, **style, label=label)
+        if fit is not None:
+            late = time[time > 0]
+            right.plot(late, fit[1] * late ** fit[0], color=style["color"], ls=":", lw=1)
+    left.set_ylabel(r"variance of the density")
+    left.set_ylim(bottom=0)
+    right.set_ylabel(r"mean of $|\rho - \overline{\rho}|$")
+    later = time[time > 0]
+    for axis in (left, right):
+        axis.set_xlabel("$t$")
+        if len(later) > 1 and later[-1] > 20 * later[0]:
+            # time zero keeps its place at the left end
+            axis.set_xscale("symlog", linthresh=later[0], linscale=0.3)
+            axis.set_xlim(0, later[-1] * 1.1)
+        axis.legend()
+    if deviation(run, "kinetic").min() > 0 and (len(time) > FEWEST_FOR_A_FIT):
+        right.set_yscale("log")
+    figure.suptitle(common.title_of(run))
+    return figure
+
+
+def _health(run, history):
+    corrections = [name for name in history if name.startswith("correction")]
+    figure, axes = plt.subplots(1, 2 + bool(corrections), figsize=(8.6 + 3 * bool(corrections), 3.4))
+    time = history["time"]
+    axes[0].plot(time, mass_error(history), lw=1)
+    axes[0].set_ylabel("relative mass error")
+    axes[1].plot(time, history["min_g"] / history["max_g"].max(), lw=1)
+    axes[1].set_ylabel("smallest $g$ / largest $g$ of the run")
+    if corrections:
+        for name in corrections:
+            positive = history[name] > 0
+            axes[2].plot(time[positive], history[name][positive], lw=1, label=name.replace("_", " "))
+        axes[2].set_ylabel("size of the correction")
+        axes[2].set_yscale("log")
+        if len(corrections) > 1:
+            axes[2].legend()
+    for axis in axes:
+        axis.set_xlabel("$t$")
+        axis.set_xlim(time[0], time[-1])
+    figure.suptitle(common.title_of(run))
+    return figure
+
+
+if __name__ == "__main__":
+    sys.exit(main())
