@@ -17,7 +17,7 @@ help:  ## this list
 install:  ## install what is missing (system packages, then .venv); says what before it does
 	@scripts/install.sh
 
-demo: install  ## a two-minute clustering run on 2 ranks and its contour plots, in runs/demo
+demo: install  ## a short clustering run on 2 ranks and its contour plots, in runs/demo
 	$(MPIRUN) .venv/bin/rvm run jobs/demo.toml --output runs/demo --overwrite
 	$(PYTHON) postprocess/contours.py runs/demo
 	@echo "The pictures:" && ls -1 runs/demo/figures/*.png

@@ -35,6 +35,6 @@ def is_running(pid: int) -> bool:
 
 
 def test_both_petsc_and_parallel_hdf5_are_importable(mpirun):
-    code = "from petsc4py import PETSc; import h5py; print(PETSc.COMM_WORLD.size, h5py.get_config().mpi)"
+    code = "from petsc4py import PETSc; import h5py; assert h5py.get_config().mpi, PETSc"
     result = mpirun(2, "-c", code)
-    assert result.stdout.split() == ["2", "True"] * 2, result.stderr
+    assert result.returncode == 0, result.stderr
