@@ -174,11 +174,11 @@ class Domain:
         """Ghost cells (wy, wx) on each side of an array of the given ghost width: none in an unused direction."""
         return (width if self.dimensions == 2 else 0), (width if self.dimensions >= 1 else 0)
 
-    def empty(self, width: int, components: int) -> np.ndarray:
-        """A ghosted field (ny + 2 wy, nx + 2 wx, components), each cell's block aligned to 64 bytes where it can be."""
+    def empty(self, width: int, components: int, guard: int = 0) -> np.ndarray:
+        """A ghosted field (ny + 2 wy, nx + 2 wx, components) of zeros, with the guard of `aligned`."""
         wy, wx = self.ghosts(width)
         shape = (self.local[1] + 2 * wy, self.local[0] + 2 * wx, components)
-        return aligned(shape)
+        return aligned(shape, guard)
 
     def exchange(self, array: np.ndarray, width: int) -> None:
         """Fill the ghost strips of a ghosted field from the neighbours, periodic ones included; corners are left.
@@ -245,9 +245,13 @@ class Domain:
         return [float(v) for v in result]
 
 
-def aligned(shape: tuple[int, ...]) -> np.ndarray:
-    """Zeros of `shape` whose first element lies on a 64-byte border, with a cache line of spare room at each end."""
+def aligned(shape: tuple[int, ...], guard: int = 0) -> np.ndarray:
+    """Zeros of `shape` whose first element lies on a 64-byte border.
+
+    With a guard, that many zeros stand before and behind: a kernel may read beyond a block where what it reads
+    is then multiplied by zero.
+    """
     count = int(np.prod(shape))
-    raw = np.zeros(count + 24)
-    first = (-raw.ctypes.data // 8) % 8 + 8
+    raw = np.zeros(count + 2 * guard + 16)
+    first = guard + (-(raw.ctypes.data // 8 + guard)) % 8
     return raw[first : first + count].reshape(shape)

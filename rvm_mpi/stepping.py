@@ -126,7 +126,9 @@ class KineticStepper:
         per = [1.0 / h if q < domain.dimensions else 0.0 for q, h in enumerate(domain.spacing)]
         self.space = Space(domain.dimensions, nx, ny, wx, wy, per[0], per[1])
         self.work = Work.create(self.grid, nx)
-        self.g, self._other = (domain.empty(GHOSTS, self.grid.block) for _ in range(2))
+        # the drift reads up to two slabs beyond a block
+        guard = 2 * self.grid.slab_size + self.grid.points[2] + 16
+        self.g, self._other = (domain.empty(GHOSTS, self.grid.block, guard) for _ in range(2))
         self.now, self._middle, self._next = (self._cells() for _ in range(3))
         self._growth, self._depth = np.zeros((ny, nx)), np.zeros((ny, nx))
         self._omega_end = np.ones((ny, nx))
@@ -164,6 +166,7 @@ class KineticStepper:
         trace = np.trace(tensor, axis1=-2, axis2=-1)
         omega = np.sqrt((trace + speed2) / d) if self.rescaled else np.ones_like(density)
         self._interior(self.now.omega)[...] = omega
+        self._omega_end[...] = omega
         mean = np.zeros((*density.shape, 3))
         mean[..., :d] = velocity / omega[..., None]
         packed = np.zeros((*density.shape, 6))
