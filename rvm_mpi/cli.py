@@ -222,10 +222,8 @@ def _step_lines(job: Job, ranks: int) -> Iterator[str]:
 
     first = estimates.first_step(job)
     yield _row("first time step", f"{first.dt:.4g}, limited by {first.limit}")
-    yield _row(
-        "  rates",
-        f"transport {first.transport_rate:.4g}, drift {first.drift_rate:.4g}, cooling {first.cooling_rate:.4g}",
-    )
+    rates = f"transport {first.transport_rate:.4g}, drift {first.drift_rate:.4g}"
+    yield _row("  rates", f"{rates}, cooling {first.cooling_rate:.4g}")
     number = f"about {estimates.steps(job):.3g} to t = {job.time.end:g}"
     yield _row("steps", f"{number}, as far as the initial state tells")
     seconds = estimates.run_seconds(job, ranks)

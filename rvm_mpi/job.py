@@ -220,6 +220,8 @@ def _written_key(path: tuple[str, ...], raw: Any) -> str:
     parts = _key(path).split(".") if path else []
     written = []
     for part in parts:
+        if part in ("lower", "upper") and isinstance(raw, Mapping) and part not in raw:
+            continue
         if not isinstance(raw, Mapping) or part not in raw:
             break
         written.append(part)

@@ -66,9 +66,8 @@ def _health(history: dict[str, np.ndarray]) -> str:
     """The worst of what the history records."""
     broken = [name for name, values in history.items() if np.isinf(values).any() or np.isnan(values[-1])]
     words = [f"not a number in {', '.join(broken)}"] if broken else ["all numbers finite"]
-    if "mass" in history:
-        mass = history["mass"]
-        words.append(f"mass changed by {mass[-1] / mass[0] - 1:+.2e}")
+    if "mass_error" in history:
+        words.append(f"mass error {np.nanmax(np.abs(history['mass_error'])):.1e}")
     if {"min_g", "max_g"} <= history.keys():
         words.append(f"smallest g {np.nanmin(history['min_g'] / history['max_g']):.1e} of the largest")
     if "mean_temperature" in history:
