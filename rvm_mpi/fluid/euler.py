@@ -1,19 +1,21 @@
 """The macroscopic system: compressible Euler equations with granular cooling.
 
-State per cell (rho, rho u_1 .. rho u_d, E), pressure p = rho T, E = d rho T/2 + rho |u|^2/2, so gamma = (d + 2)/d;
-d_t U + div F(U) = (0, 0, - d C rho^2 T^{3/2}), that is dT/dt = -2 C rho T^{3/2} in a homogeneous gas.
+State per cell (rho, rho u_1 .. rho u_d, E), pressure p = rho T, E = d rho T/2 + rho |u|^2/2, so
+gamma = (d + 2)/d; d_t U + div F(U) = (0, 0, - d C rho^2 T^{3/2}), that is dT/dt = -2 C rho T^{3/2} in a
+homogeneous gas.
 
-- Space: finite differences in conservation form; the flux at a face is reconstructed by WENO5 in the characteristic
-  variables of the face's Roe average after a Lax-Friedrichs splitting whose speeds are, for each characteristic field,
-  the largest over the six cells of the stencil (C.-W. Shu, ICASE report 97-65).
-- Time: SSP Runge-Kutta of third order between two halves of the cooling, which is integrated exactly (Haff's law).
-- Positivity: each direction's update is the mean of the updates through its two faces, and each face's flux is drawn towards the
-  first-order Lax-Friedrichs flux until both cells keep positive density and temperature (X. Y. Hu, N. A. Adams, C.-W. Shu,
-  J. Comput. Phys. 242 (2013), about the first-order update of the same direction in place of the old state).
-  The first-order update of a direction is positive while d_x dt max(|u_n| + c)/h <= 1.
+- Space: finite differences in conservation form; the flux at a face is reconstructed by WENO5 in the
+  characteristic variables of the face's Roe average after a Lax-Friedrichs splitting, whose speed is, for
+  each characteristic field, the largest over the six cells of the stencil (C.-W. Shu, ICASE report 97-65).
+- Time: SSP Runge-Kutta of third order between two halves of the cooling, which is integrated exactly.
+- Positivity: each direction's update is the mean of the updates through its two faces, and each face's flux
+  is drawn towards the first-order Lax-Friedrichs flux until both cells keep positive density and
+  temperature (X. Y. Hu, N. A. Adams, C.-W. Shu, J. Comput. Phys. 242 (2013), here about the first-order
+  update of the same direction in place of the old state, which leaves more of the high-order flux and allows
+  twice the time step). The first-order update of a direction is positive while d_x dt max(|u_n| + c)/h <= 1.
 
-A face's flux depends on the cells of its own row within three cells of it and on nothing else, so results do not depend
-on how the domain is cut; sums are ordered so that they know neither left from right nor x from y.
+A face's flux depends on the cells of its own row within three cells of it and on nothing else, so results do
+not depend on how the domain is cut; sums are ordered so that they know neither left from right nor x from y.
 """
 
 from __future__ import annotations
@@ -39,10 +41,11 @@ KEPT = 1e-2
 HALVINGS = 8
 
 # One record of the sweep's work array is a cell and the face on its right; each slot holds LANES numbers.
-# The conserved variables come first: density, normal momentum, two tangential momenta, energy; then their fluxes.
+# The conserved variables come first (density, normal momentum, two tangential momenta, energy), then
+# their fluxes.
 _STATE, _FLUX = 0, 5
 _VELOCITY, _SOUND2, _ROOT, _FASTEST, _SPEED = 10, 13, 14, 15, 16  # _SPEED: |u - c|, |u|, |u + c|
-_HIGH, _LOW, _FIRST, _INNER = 19, 24, 29, 34  # fluxes of both orders, first-order update and its internal energy
+_HIGH, _LOW, _FIRST, _INNER = 19, 24, 29, 34  # both fluxes, first-order update, its internal energy
 _THETA = 35  # the part of the high-order flux that is kept
 _RECORD = 36
 
@@ -53,11 +56,11 @@ _FACE = 75
 
 
 @njit(**KERNEL)
-def _at(slot: int, lane: int) -> int:
+def _at(slot: int, lane: int) -> np.uint64:
     """Index of a slot's lane.
 
-    Unsigned, since numba's handling of negative indices would keep the compiler from vectors of lanes; so would
-    its `range`, hence the while loops over lanes.
+    Unsigned, since numba's handling of negative indices would keep the compiler from vectors of lanes; so
+    would its `range`, hence the while loops over lanes.
     """
     return np.uint64(slot * LANES + lane)
 
@@ -145,7 +148,7 @@ def _mean_state(stencil: np.ndarray, face: np.ndarray, gamma: float) -> None:
 
 @njit(**KERNEL)
 def _project(cell: np.ndarray, face: np.ndarray, split: np.ndarray, gamma: float) -> None:
-    """One cell's part of the split fluxes (f + a w)/2 and (f - a w)/2 in the characteristic fields of the face.
+    """One cell's part of the split fluxes (f + a w)/2 and (f - a w)/2 in the face's characteristic fields.
 
     The fields: u - c, entropy, two shears, u + c.
     """
@@ -191,12 +194,10 @@ def _reconstruct(face: np.ndarray) -> None:
         p, m = _RIGHTWARD + field, _LEFTWARD + field
         k = 0
         while k < LANES:
-            from_left = weno5(
-                face[_at(p, k)], face[_at(p + 5, k)], face[_at(p + 10, k)], face[_at(p + 15, k)], face[_at(p + 20, k)]
-            )
-            from_right = weno5(
-                face[_at(m + 25, k)], face[_at(m + 20, k)], face[_at(m + 15, k)], face[_at(m + 10, k)], face[_at(m + 5, k)]
-            )
+            a, b, c = face[_at(p, k)], face[_at(p + 5, k)], face[_at(p + 10, k)]
+            from_left = weno5(a, b, c, face[_at(p + 15, k)], face[_at(p + 20, k)])
+            a, b, c = face[_at(m + 25, k)], face[_at(m + 20, k)], face[_at(m + 15, k)]
+            from_right = weno5(a, b, c, face[_at(m + 10, k)], face[_at(m + 5, k)])
             face[_at(_FIELD + field, k)] = from_left + from_right
             k += 1
 
@@ -250,10 +251,10 @@ def _first_order_update(pair: np.ndarray, ratio: float) -> None:
 
 @njit(**KERNEL)
 def _allowed(pair: np.ndarray, cell: int, weight: float) -> None:
-    """Lower the face's theta to what one of its two cells allows; weight times the flux is what the cell loses.
+    """Lower the face's theta to what one of its two cells allows, which loses weight times the flux.
 
-    That half of its update must keep the fraction KEPT of the density and internal energy of the first-order update. The internal
-    energy is concave along the way, so its chord bounds it from below.
+    That half of its update must keep the fraction KEPT of the density and internal energy of the first-order
+    update. The internal energy is concave along the way, so its chord bounds it from below.
     """
     first = cell + _FIRST
     k = 0
@@ -313,8 +314,8 @@ def sweep(
     state : (ny + 2 wy, nx + 2 wx, d + 2) array
         Ghosted state; corners are not read.
     change : (ny, nx, d + 2) array
-        -dt/h times the difference of the fluxes: set by the sweep in x (axis 0), added to by the one in y (axis 1).
-    axis : int
+        -dt/h times the difference of the fluxes: set by the sweep in x (axis 0), added to by that in y (axis
+    1). axis : int
         0 for x, 1 for y.
     directions : int
         Space dimensions d_x.
@@ -420,14 +421,14 @@ def combine(state: np.ndarray, start: np.ndarray, change: np.ndarray, weight: fl
 
 @njit(**KERNEL)
 def cool(state: np.ndarray, cooling: float, dt: float) -> None:
-    """Haff's law in every cell: T <- T/(1 + cooling rho sqrt(T) dt)^2, exact for dT/dt = -2 cooling rho T^{3/2}.
+    """Haff's law in every cell: T <- T/(1 + C rho sqrt(T) dt)^2, exact for dT/dt = -2 C rho T^{3/2}.
 
     Parameters
     ----------
     state : (ny, nx, d + 2) array
         Changed in place, its energy only.
     cooling, dt : float
-        C/epsilon and the time.
+        C and the time.
     """
     ny, nx, components = state.shape
     for j in range(ny):
@@ -479,7 +480,7 @@ def largest_rate(state: np.ndarray, wy: int, wx: int, inverse_dy: float, inverse
 
 @njit(**KERNEL)
 def root_mean_energy(state: np.ndarray, out: np.ndarray) -> None:
-    """omega = sqrt(2E/(d rho)) of every cell: state (ny, nx, d + 2), out (ny, nx)."""
+    """The scaling omega = sqrt(2E/(d rho)) of every cell: state (ny, nx, d + 2), out (ny, nx)."""
     ny, nx, components = state.shape
     for j in range(ny):
         for i in range(nx):
@@ -501,7 +502,7 @@ class FluidSystem:
     state : (ny + 2 wy, nx + 2 wx, d + 2) array
         (rho, rho u, E) with three ghost layers in each active direction.
     cooling : float
-        C/epsilon in dT/dt = -2 C/epsilon rho T^{3/2}.
+        C in dT/dt = -2 C rho T^{3/2}.
     """
 
     def __init__(self, job: Job, domain: Domain) -> None:
@@ -512,6 +513,8 @@ class FluidSystem:
             raise ValueError(f"{self.directions} space dimensions need as many velocity dimensions, not {d}")
         self.cooling = float(job.collision.cooling)
         nx, ny = domain.local
+        if min(domain.local[: self.directions], default=GHOSTS) < GHOSTS:
+            raise ValueError(f"the fluid needs {GHOSTS} cells or more in each direction, not {nx} x {ny}")
         self._wx = GHOSTS if self.directions >= 1 else 0
         self._wy = GHOSTS if self.directions == 2 else 0
         self.state = np.zeros((ny + 2 * self._wy, nx + 2 * self._wx, d + 2))
@@ -520,13 +523,11 @@ class FluidSystem:
         self._saved, self._start, self._change = (np.empty_like(self._interior) for _ in range(3))
         self._work = np.zeros(work_size(max(nx, ny)))
         names = [f"{axis}-{end}" for axis in "xy"[: self.directions] for end in ("lower", "upper")]
-        self._sides = {
-            name: Side(name, job.space.sides[name], d) for name in names if domain.on_side(name)
-        }
+        self._sides = {name: Side(name, job.space.sides[name], d) for name in names if domain.on_side(name)}
 
     @property
     def interior(self) -> np.ndarray:
-        """This rank's cells of the state, (ny, nx, d + 2), a view."""
+        """The state of this rank's cells, (ny, nx, d + 2), a view."""
         return self._interior
 
     def set_state(self, density: np.ndarray, velocity: np.ndarray, temperature: np.ndarray) -> None:
@@ -546,7 +547,7 @@ class FluidSystem:
         if not (np.all(density > 0.0) and np.all(temperature > 0.0)):
             raise ValueError("the fluid needs a positive density and temperature in every cell")
         d, inside = self.velocity_dimensions, self._interior
-        speed2 = np.zeros_like(density)
+        speed2 = np.zeros(inside.shape[:2])
         for c in range(d):
             inside[..., 1 + c] = density * velocity[..., c]
             speed2 += velocity[..., c] ** 2
@@ -557,7 +558,7 @@ class FluidSystem:
         self.fill_ghosts()
 
     def fill_ghosts(self) -> None:
-        """Fill the ghosts of the state: neighbours and periodic sides by the domain (collective), then the walls."""
+        """Fill the ghosts of the state: by the domain (collective), then at the physical sides."""
         if self.directions == 0:
             return
         self.domain.exchange(self.state, GHOSTS)
@@ -567,7 +568,8 @@ class FluidSystem:
     def advance(self, dt: float) -> None:
         """One time step; collective. Positive for max_rate() dt <= 1/2.
 
-        The speeds may grow within a step. Should a later stage lose positivity by it, all ranks repeat the step as two halves.
+        The speeds may grow within a step. Should a stage lose positivity by it, all ranks repeat the step as
+        two halves.
 
         Parameters
         ----------
@@ -576,13 +578,13 @@ class FluidSystem:
         Raises
         ------
         FloatingPointError
-            On every rank, if density or temperature is lost whatever dt; names the first such cell of this rank.
+            On every rank, if positivity is lost whatever dt; names the first such cell of this rank.
         """
         self._advance(dt, HALVINGS)
 
     def _advance(self, dt: float, halvings: int) -> None:
         self._saved[:] = self._interior
-        cool(self._interior, self.cooling, 0.5 * dt)
+        self._cool(0.5 * dt)
         lost = self._transport(dt) if self.directions else None
         if self.domain.maximum(0.0 if lost is None else 1.0)[0] > 0.0:
             self._interior[:] = self._saved
@@ -591,10 +593,14 @@ class FluidSystem:
             self._advance(0.5 * dt, halvings - 1)
             self._advance(0.5 * dt, halvings - 1)
             return
-        cool(self._interior, self.cooling, 0.5 * dt)
+        self._cool(0.5 * dt)
+
+    def _cool(self, dt: float) -> None:
+        if self.cooling != 0.0:
+            cool(self._interior, self.cooling, dt)
 
     def _transport(self, dt: float) -> tuple[int, int] | None:
-        """SSP Runge-Kutta step of the fluxes; the first cell (row, column) of this block that lost positivity, if any."""
+        """SSP Runge-Kutta step of the fluxes; the first cell (row, column) to lose positivity, if any."""
         inside, first = self._interior, None
         self._start[:] = inside
         for weight in (1.0, 0.25, 2.0 / 3.0):
@@ -621,15 +627,19 @@ class FluidSystem:
             )
 
     def _complaint(self, lost: tuple[int, int] | None, dt: float) -> str:
-        where = "on another rank"
-        if lost is not None:
-            i, j = self.domain.start[0] + lost[1], self.domain.start[1] + lost[0]
-            density, _velocity, temperature = self.moments()
-            where = f"in cell (i, j) = ({i}, {j}), which had density {density[lost]:.3g}, temperature {temperature[lost]:.3g}"
-        return f"the fluid lost positive density or temperature {where}, at any step down to {dt:.3g}"
+        density, _velocity, temperature = self.moments()
+        bad = np.argwhere(~((density > 0.0) & (temperature > 0.0)))
+        if bad.size:  # it came in with the state
+            lost = (int(bad[0, 0]), int(bad[0, 1]))
+        what = f"the fluid lost positive density or temperature at any step down to {dt:.3g}"
+        if lost is None:
+            return f"{what}, on another rank"
+        i, j = self.domain.start[0] + lost[1], self.domain.start[1] + lost[0]
+        before = f"density {density[lost]:.3g} and temperature {temperature[lost]:.3g}"
+        return f"{what}, in cell (i, j) = ({i}, {j}), which had {before} before"
 
     def max_rate(self) -> float:
-        """Largest sum over the directions of (|u_n| + c)/h on this rank and just outside; fills ghosts, so collective."""
+        """Largest sum over directions of (|u_n| + c)/h, here and just outside; collective: fills ghosts."""
         self.fill_ghosts()
         dx, dy = self.domain.spacing
         return float(
@@ -653,13 +663,13 @@ class FluidSystem:
         return density, velocity, 2.0 * (inside[..., -1] - 0.5 * momentum2 / density) / (d * density)
 
     def omega(self, out: np.ndarray | None = None) -> np.ndarray:
-        """omega = sqrt(2E/(d rho)).
+        """The scaling omega = sqrt(2E/(d rho)).
 
         Parameters
         ----------
         out : (ny + 2 wy, nx + 2 wx) array, optional
-            Filled in place: this rank's cells, or with up to three ghost layers in the active directions. With ghosts
-            the call is collective; those of the corners are of no use, but positive.
+            Filled in place: this rank's cells, or with up to three ghost layers in the active directions.
+            With ghosts the call is collective; those of the corners are of no use, but finite.
 
         Returns
         -------

@@ -25,11 +25,13 @@ SOLID = ("specular", "maxwell")
 
 
 @njit(**KERNEL)
-def mirror(state: np.ndarray, normal: int, accommodation: float, temperature: float, velocity: np.ndarray) -> None:
+def mirror(
+    state: np.ndarray, normal: int, accommodation: float, temperature: float, velocity: np.ndarray
+) -> None:
     """Maxwell wall: what the cells mirror, a fraction of it thermalised; specular with accommodation 0.
 
-    The thermalised part has the mirrored density and normal velocity, the wall's tangential velocity and temperature:
-    E = d rho T_w/2 + rho |u|^2/2.
+    The thermalised part has the mirrored density and normal velocity, the wall's tangential velocity and
+    temperature: E = d rho T_w/2 + rho |u|^2/2.
 
     Parameters
     ----------
@@ -73,7 +75,7 @@ def extend(state: np.ndarray, factor: float) -> None:
     state : (layers, cells, d + 2) array, any strides
         Ghost layers are overwritten.
     factor : float
-        Density, momentum and energy of the ghosts relative to the cell's; its velocity and temperature are kept.
+        Density, momentum and energy of the ghosts relative to the cell's; velocity and temperature stay.
     """
     _layers, cells, components = state.shape
     for ghost in range(GHOSTS):
@@ -105,11 +107,14 @@ class Side:
         self.outside: np.ndarray | None = None
         if boundary.velocity is not None:
             self.velocity[:] = boundary.velocity
+        if boundary.temperature is not None:
+            self.temperature = boundary.temperature
         if self.kind == "maxwell":
-            self.accommodation, self.temperature = float(boundary.accommodation), float(boundary.temperature)
+            self.accommodation = 1.0 if boundary.accommodation is None else boundary.accommodation
         elif self.kind == "far-field" and boundary.density is not None:
-            energy = 0.5 * boundary.density * (dimensions * boundary.temperature + self.velocity @ self.velocity)
-            self.outside = np.array([boundary.density, *(boundary.density * self.velocity), energy])
+            density = boundary.density
+            energy = 0.5 * density * (dimensions * self.temperature + self.velocity @ self.velocity)
+            self.outside = np.array([density, *(density * self.velocity), energy])
         elif self.kind not in ("specular", "far-field", "outflow", "vacuum"):
             raise ValueError(f"the fluid knows no boundary of kind {self.kind!r}")
 
@@ -125,7 +130,7 @@ class Side:
             self.outside = self._inwards(state)[GHOSTS].copy()
 
     def fill(self, state: np.ndarray) -> None:
-        """Fill this side's ghosts of a ghosted state (ny + 2 wy, nx + 2 wx, d + 2); corners come out finite."""
+        """Fill this side's ghosts of a ghosted state (ny + 2 wy, nx + 2 wx, d + 2)."""
         view = self._inwards(state)
         if self.kind == "far-field":
             if self.outside is None:

@@ -1,8 +1,8 @@
 """WENO5 reconstruction of a flux at a cell face.
 
-The weights are those of WENO-Z with the exponent 2: R. Borges, M. Carmona, B. Costa, W. S. Don, J. Comput. Phys. 227
-(2008); M. Castro, B. Costa, W. S. Don, J. Comput. Phys. 230 (2011). They keep fifth order at smooth extrema, where
-the weights of Jiang and Shu fall to third, and depend on no scale of the solution.
+The weights are those of WENO-Z with the exponent 2: R. Borges, M. Carmona, B. Costa, W. S. Don, J. Comput.
+Phys. 227 (2008); M. Castro, B. Costa, W. S. Don, J. Comput. Phys. 230 (2011). They keep fifth order at simple
+extrema, where the weights of Jiang and Shu fall to third, and depend on no scale of the solution.
 """
 
 from __future__ import annotations
@@ -11,8 +11,8 @@ from typing import Any
 
 from numba import njit
 
-#: Options of the fluid's kernels. No fused multiply-adds: which product of a*b + c*d is fused is the compiler's choice,
-#: and would tell left from right and x from y in the last bit.
+#: Options of the fluid's kernels. No fused multiply-adds: which product of a*b + c*d is fused is the
+#: compiler's choice, and would tell left from right and x from y in the last bit.
 KERNEL: dict[str, Any] = {"cache": True, "error_model": "numpy", "fastmath": {"nsz"}, "nogil": True}
 
 #: keeps 0/0 out of the weights
@@ -21,7 +21,7 @@ TINY = 1e-40
 
 @njit(**KERNEL)
 def weno5(a: float, b: float, c: float, d: float, e: float) -> float:
-    """Value at the face between c and d of the function whose cell averages are a, b, c, d, e, upwind from the left.
+    """Value at the face between c and d of the function whose cell averages are a to e, upwind from the left.
 
     From the right: the same with the five cells in reverse order.
 

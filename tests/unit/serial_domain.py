@@ -1,4 +1,4 @@
-"""A stand-in for `rvm_mpi.domain.Domain` without MPI or PETSc: one block, or several in threads of one process."""
+"""A stand-in for `rvm_mpi.domain.Domain` without MPI or PETSc: one block, or several in threads."""
 
 import threading
 from types import SimpleNamespace
@@ -7,9 +7,9 @@ import numpy as np
 
 
 def make_job(cells, lower, upper, sides="periodic", d=3, cooling=0.0):
-    """The attributes of a Job that the fluid uses; `sides` is a kind for all or a dict of name -> kind or keys."""
+    """The attributes of a Job that the fluid uses; `sides`: a kind for all, or name -> kind or keys."""
     active = [f"{axis}-{end}" for axis in "xy"[: len(cells)] for end in ("lower", "upper")]
-    sides = {name: sides for name in active} if isinstance(sides, str) else sides
+    sides = dict.fromkeys(active, sides) if isinstance(sides, str) else sides
     full = {}
     for name in active:
         keys = {"kind": sides[name]} if isinstance(sides[name], str) else sides[name]
@@ -17,7 +17,12 @@ def make_job(cells, lower, upper, sides="periodic", d=3, cooling=0.0):
         full[name] = SimpleNamespace(**{**defaults, **keys})
     spacing = tuple((b - a) / n for a, b, n in zip(lower, upper, cells, strict=True))
     space = SimpleNamespace(
-        cells=tuple(cells), lower=tuple(lower), upper=tuple(upper), dimensions=len(cells), spacing=spacing, sides=full
+        cells=tuple(cells),
+        lower=tuple(lower),
+        upper=tuple(upper),
+        dimensions=len(cells),
+        spacing=spacing,
+        sides=full,
     )
     return SimpleNamespace(
         space=space, velocity=SimpleNamespace(dimensions=d), collision=SimpleNamespace(cooling=cooling)
@@ -86,7 +91,8 @@ class BlockDomain(SerialDomain):
         b.arrays[self.rank] = array
         b.barrier.wait()
         received = []
-        for step, mine, theirs in ((-1, slice(0, w), slice(-2 * w, -w)), (1, slice(-w, None), slice(w, 2 * w))):
+        lower, upper = (-1, slice(0, w), slice(-2 * w, -w)), (1, slice(-w, None), slice(w, 2 * w))
+        for step, mine, theirs in (lower, upper):
             if self.dimensions >= 1 and not self.on_side("x-lower" if step < 0 else "x-upper"):
                 other = b.arrays[self.row * b.px + (self.column + step) % b.px]
                 rows = slice(wy, array.shape[0] - wy)
