@@ -218,7 +218,7 @@ def test_results_do_not_depend_on_the_decomposition(cells, grid, sides):
 
 
 def test_a_step_too_long_is_halved():
-    """At 40 times the largest step a first attempt loses positivity; what comes out is positive, mass exact."""
+    """At 40 times the largest step one attempt loses positivity; what comes out is positive, mass exact."""
     rng = np.random.default_rng(9)
     fields = rng.random((16, 16)) ** 4, np.zeros((16, 16, 3)), 10 ** (4 * rng.random((16, 16)))
     fluid = system((16, 16))

@@ -166,7 +166,7 @@ def test_waves_leave_through_outflow_and_far_field():
 def test_two_dimensional_riemann_problem(sides):
     """Configuration 3 of Lax and Liu (1998) with gamma = 5/3, symmetric about the diagonal.
 
-    Along the sides, which the waves of the middle have not reached, the solution is that of a 1D Riemann problem.
+    Along the sides, which the waves of the middle have not reached, the solution is a 1D one.
     In a closed box the gas of one quarter runs away from its corner and leaves a near vacuum.
     """
     n = 64
