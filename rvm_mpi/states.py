@@ -310,13 +310,18 @@ def _overlaps(centres: np.ndarray, axis: int, job: Job, where: str) -> np.ndarra
     slack = 1e-9 * (edges_there[-1] - edges_there[0])
     if edges_here[0] < edges_there[0] - slack or edges_here[-1] > edges_there[-1] + slack:
         raise JobError(
-            f"{where}: covers {edges_there[0]:.9g} to {edges_there[-1]:.9g} along {'xy'[axis]}, "
-            f"this job's domain is {edges_here[0]:.9g} to {edges_here[-1]:.9g}"
+            f"{where}: covers {_ends(edges_there)} along {'xy'[axis]}, "
+            f"this job's domain is {_ends(edges_here)}"
         )
     start = np.maximum(edges_here[:-1, None], edges_there[None, :-1])
     stop = np.minimum(edges_here[1:, None], edges_there[None, 1:])
     share = np.maximum(stop - start, 0.0)
     return share / share.sum(axis=1, keepdims=True)
+
+
+def _ends(edges: np.ndarray) -> str:
+    low, high = (f"{round(float(edge), 9) + 0.0:.9g}" for edge in edges[[0, -1]])
+    return f"{low} to {high}"
 
 
 def two_gaussians(state: Any, block: Block) -> Fields:

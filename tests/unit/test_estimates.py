@@ -1,0 +1,238 @@
+"""Estimates before a run, against direct computation and closed formulas."""
+
+from math import inf, pi, sqrt
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rvm_mpi import estimates
+from rvm_mpi.job import Job, JobError
+
+
+def make(initial=None, cells=(64, 64), points=(24, 24, 8), half_width=7.0, collision=None, **tables):
+    return Job.from_dict(
+        {
+            "space": {"cells": list(cells), **tables.pop("space", {})},
+            "velocity": {"points": list(points), "half_width": half_width},
+            "collision": collision or {"operator": "granular-es-bgk", "knudsen": 0.01, "restitution": 0.99},
+            "initial": initial or {"state": "uniform"},
+            "time": {"end": 30.0, **tables.pop("time", {})},
+            **tables,
+        }
+    )
+
+
+ELASTIC = {"operator": "es-bgk", "knudsen": 0.05, "relaxation": {"coefficient": 2.0, "temperature_power": 0}}
+
+
+# --- the velocity grid
+
+
+@given(points=st.integers(4, 40), width=st.floats(1, 20), where=st.floats(-0.9, 0.9), data=st.data())
+def test_no_positive_numbers_on_the_nodes_are_colder(points, width, where, data):
+    h = 2 * width / points
+    nodes = (2 * np.arange(points) + 1 - points) * h / 2
+    mean = where * nodes[-1]
+    least = estimates.least_temperature(points, width, mean)
+    below = int(np.clip(np.floor((mean - nodes[0]) / h), 0, points - 2))
+    share = (mean - nodes[below]) / h
+    attained = (1 - share) * (nodes[below] - mean) ** 2 + share * (nodes[below + 1] - mean) ** 2
+    assert least == pytest.approx(attained, abs=1e-9 * h**2)
+    # any pair of nodes around the mean, and so any mixture of pairs, is at least as warm
+    left = data.draw(st.integers(0, below))
+    right = data.draw(st.integers(below + 1, points - 1))
+    assert (mean - nodes[left]) * (nodes[right] - mean) >= least - 1e-9 * h**2
+
+
+def test_the_coarse_direction_of_test_4():
+    assert estimates.least_temperature(8, 7.0) == pytest.approx(0.765625)
+    assert estimates.least_temperature(9, 7.0) == pytest.approx(0, abs=1e-12)
+    assert estimates.least_temperature(8, 7.0, 6.9) == inf
+    assert estimates.smallest_temperature(make()) == pytest.approx((2 * (7 / 24) ** 2 + 0.765625) / 3)
+    # the figures of the sampled Gaussian on this grid: 4 % too warm at T_g = 1, 12 % at 0.8
+    assert estimates.sampled_temperature(8, 7.0, 1.0) == pytest.approx(1.04, abs=0.005)
+    assert estimates.sampled_temperature(8, 7.0, 0.8) / 0.8 == pytest.approx(1.12, abs=0.005)
+
+
+@pytest.mark.parametrize(("points", "width"), [(8, 7.0), (16, 7.0), (24, 7.0), (9, 5.0)])
+def test_sampling_limit_is_where_the_error_passes_one_percent(points, width):
+    limit = estimates.sampling_limit(points, width)
+    assert abs(estimates.sampled_temperature(points, width, 1.02 * limit) / (1.02 * limit) - 1) < 0.01
+    assert abs(estimates.sampled_temperature(points, width, 0.95 * limit) / (0.95 * limit) - 1) > 0.01
+
+
+def test_largest_mach_leaves_the_smallest_temperature():
+    job = make()
+    d, mach = 3, estimates.largest_mach(job)
+    temperature = 1.0
+    speed = mach * sqrt((d + 2) / d * temperature)
+    omega2 = temperature + speed**2 / d
+    assert temperature / omega2 == pytest.approx(estimates.smallest_temperature(job))
+    assert estimates.largest_mach(make(points=(25, 25, 25))) > 1e6
+
+
+# --- does the state fit the box
+
+
+@pytest.mark.parametrize(
+    "job",
+    [
+        make(),
+        make({"state": "temperature-disc"}, collision=ELASTIC),
+        make({"state": "uniform", "velocity": [1, 0, 0]}),
+        make({"state": "uniform", "temperature": 1e6, "velocity": [1e3, 0, 0]}),
+        make(scaling={"kind": "none"}, half_width=8),
+        make(
+            {
+                "state": "riemann",
+                "left": {"density": 1, "temperature": 1},
+                "right": {"density": 1, "temperature": 50},
+            }
+        ),
+    ],
+)
+def test_states_that_fit(job):
+    estimates.check_box(job)
+
+
+@pytest.mark.parametrize(
+    ("job", "wrong"),
+    [
+        (make({"state": "temperature-disc"}, scaling={"kind": "none"}), "at least 30.0 along x"),
+        (make({"state": "uniform", "velocity": [0, 5, 0]}, scaling={"kind": "none"}), "at least 8.0 along y"),
+        (make(half_width=[7, 7, 2]), "at least 3.0 along z"),
+        (make({"state": "uniform", "velocity": [9, 0, 0]}), "too few for the initial state"),
+        (make({"state": "uniform", "temperature": 0.2}, scaling={"kind": "none"}), "needs 0.2"),
+        (
+            make(
+                scaling={"kind": "none"}, space={"boundary": {"x": {"kind": "maxwell", "temperature": 100}}}
+            ),
+            "too small for the gas from x-lower",
+        ),
+    ],
+)
+def test_states_that_do_not_fit(job, wrong):
+    with pytest.raises(JobError) as caught:
+        estimates.check_box(job)
+    assert wrong in str(caught.value)
+    assert str(caught.value).startswith("velocity.")
+
+
+# --- steps
+
+
+def test_first_step_of_test_4_is_set_by_transport():
+    first = estimates.first_step(make({"state": "random-density"}))
+    assert first.dt == pytest.approx(0.5 / (2 * 7 * 64))
+    assert "transport" in first.limit
+    assert first.drift_rate == 0
+
+
+def test_first_step_against_a_loop_over_cells():
+    """The definition: dt = cfl / max of sum omega V/dx + sum |a|max/h, a = (xi . grad omega) xi."""
+    initial = {"state": "wave", "mode": [1, 1], "temperature_amplitude": 0.9, "velocity": [0.5, 0, 0]}
+    job = make(initial, cells=(12, 10), points=(16, 12, 10), half_width=[7, 6, 5], collision=ELASTIC)
+    start = estimates.start_fields(job)
+    omega = np.sqrt(start.temperature + 0.25 / 3)
+    worst = 0.0
+    for j in range(10):
+        for i in range(12):
+            slope_x = (omega[j, (i + 1) % 12] - omega[j, i - 1]) / (2 / 12)
+            slope_y = (omega[(j + 1) % 10, i] - omega[j - 1, i]) / (2 / 10)
+            stretch = 7 * abs(slope_x) + 6 * abs(slope_y)
+            drift = sum(stretch * width / (2 * width / n) for width, n in ((7, 16), (6, 12), (5, 10)))
+            worst = max(worst, omega[j, i] * (7 * 12 + 6 * 10) + drift)
+    assert estimates.first_step(job).dt == pytest.approx(0.5 / worst, rel=1e-12)
+
+
+def test_which_limit_binds():
+    disc = make({"state": "temperature-disc"}, collision=ELASTIC, space={"lower": [-1, -1]})
+    assert "drift" in estimates.first_step(disc).limit
+    homogeneous = estimates.first_step(make(cells=()))
+    assert "cooling" in homogeneous.limit
+    assert homogeneous.dt == pytest.approx(0.1 / (2 * make().collision.cooling))
+    assert estimates.first_step(make(time={"dt": 0.01})).limit == "time.dt"
+    assert "time.end" in estimates.first_step(make(cells=(), collision=ELASTIC)).limit
+    unscaled = estimates.first_step(make(cells=(), scaling={"kind": "none"}, time={"cfl": 0.01}))
+    assert "drift" in unscaled.limit
+
+
+def test_steps_of_a_cooling_gas_follow_haffs_law():
+    """Steps grow like 1/omega: sum them one by one."""
+    job = make(cells=(64,), time={"end": 3.0})
+    dt, cooling, t, count = estimates.first_step(job).dt, job.collision.cooling, 0.0, 0
+    while t < 3.0:
+        t += dt * (1 + cooling * t)
+        count += 1
+    assert estimates.steps(job) == pytest.approx(count, rel=0.01)
+    assert estimates.steps(make(time={"end": 3.0, "max_steps": 7})) == 7
+    assert estimates.steps(make(collision=ELASTIC, cells=(64,))) == pytest.approx(30 * 7 * 64 / 0.5)
+
+
+def test_run_time_counts_cells_stages_and_ranks():
+    job = make(cells=(64,), time={"max_steps": 10})
+    cells = 64 * 24 * 24 * 8
+    assert estimates.run_seconds(job, 2, 1e-9) == pytest.approx(10 * estimates.STAGES * cells * 1e-9 / 2)
+
+
+# --- memory
+
+
+def test_memory_of_g_is_two_ghosted_copies():
+    assert estimates.memory(make(), 1).g == 2 * 8 * 68 * 68 * 4608
+    assert estimates.memory(make(), 2).g == 2 * 8 * 68 * 36 * 4608
+    assert estimates.memory(make(cells=(64,)), 1).g == 2 * 8 * 68 * 4608
+    assert estimates.memory(make(cells=()), 1).g == 2 * 8 * 4608
+    assert estimates.cell_block((24, 24, 8)) == 4608
+    assert estimates.cell_block((5, 3, 3)) == 5 * 16
+    assert estimates.cell_block((10,)) == 10 * 8
+    with pytest.raises(JobError, match="cannot share"):
+        estimates.memory(make(), 5000)
+
+
+# --- physics
+
+
+def test_physics_of_hard_spheres():
+    job = make({"state": "uniform", "density": 2.0, "temperature": 4.0})
+    gas = estimates.physics(job)
+    tau = job.collision.relaxation.coefficient * 2.0 * 2.0 / 0.01
+    assert gas.collision_time.mean == pytest.approx(1 / tau)
+    assert gas.mean_free_path.mean == pytest.approx(sqrt(8 * 4 / pi) / tau)
+    assert gas.cells_per_mean_free_path == pytest.approx(64 * gas.mean_free_path.mean)
+    assert gas.knudsen == pytest.approx(gas.mean_free_path.mean)
+    assert 1 / (1 + job.collision.cooling * 4.0 * gas.haff_time) ** 2 == pytest.approx(0.25)
+
+
+@pytest.mark.parametrize("d", [1, 2, 3])
+def test_mean_speed_by_sampling(d):
+    v = np.random.default_rng(d).standard_normal((200_000, d)) * sqrt(1.7)
+    speed = np.linalg.norm(v, axis=1)
+    assert estimates.mean_speed(d, np.array(1.7)) == pytest.approx(
+        speed.mean(), abs=4 * speed.std() / sqrt(len(v))
+    )
+
+
+def test_boltzmann_collision_frequency_by_sampling():
+    """Loss rate of hard spheres in a Maxwellian: rho b |S| <|u|> / Knudsen number."""
+    collision = {"operator": "boltzmann", "knudsen": 0.5, "restitution": 1, "cross_section": 0.3}
+    job = make(cells=(), points=(32, 32, 32), collision=collision)
+    v, w = np.random.default_rng(0).standard_normal((2, 200_000, 3)) * sqrt(1.7)
+    expected = 2.0 * 0.3 * 4 * pi * np.linalg.norm(v - w, axis=1).mean() / 0.5
+    assert estimates.collision_frequency(job, np.array(2.0), np.array(1.7)) == pytest.approx(
+        expected, rel=0.01
+    )
+
+
+def test_free_transport_has_no_collision_scales():
+    assert estimates.physics(make(collision={"operator": "none"})) is None
+
+
+@pytest.mark.parametrize(
+    ("seconds", "words"),
+    [(0.5, "0.5 s"), (100, "100 s"), (600, "10.0 min"), (7200, "2.0 h"), (2e5, "2.3 days")],
+)
+def test_durations_in_words(seconds, words):
+    assert estimates.duration_in_words(seconds) == words
