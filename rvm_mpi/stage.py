@@ -17,7 +17,7 @@ from numba import njit
 from rvm_mpi.collisions.es_bgk import FAILED, REPLACED, TOO_COLD, discrete_gaussian
 from rvm_mpi.kinetic import drift
 from rvm_mpi.kinetic.conservation import SUMS, correct, weighted_sums
-from rvm_mpi.kinetic.transport import flux_x, flux_y
+from rvm_mpi.kinetic.transport import face_flux, upper_fluxes
 from rvm_mpi.simd import KERNEL, load, maximum, minimum, splat, store
 from rvm_mpi.velocity import VALID, Y, Z, VelocityGrid
 
@@ -106,9 +106,7 @@ class Work(NamedTuple):
     """Work space of a stage: blocks of one cell, one row of fluxes, and small arrays."""
 
     west: np.ndarray
-    east: np.ndarray
     south: np.ndarray
-    north: np.ndarray
     result: np.ndarray
     gaussian: np.ndarray
     scratch: np.ndarray
@@ -127,9 +125,9 @@ class Work(NamedTuple):
         row = grid.slab_size + 2 * (grid.points[2] + 8)
         nvx = grid.points[0]
         return cls(
-            *(aligned((grid.block,)) for _ in range(2)),
+            aligned((grid.block,)),
             aligned((grid.block * nx,)),
-            *(aligned((grid.block,)) for _ in range(3)),
+            *(aligned((grid.block,)) for _ in range(2)),
             aligned((drift.SCRATCH_ROWS * row + 8,)),
             np.zeros((nx, 5)),
             np.zeros(9),
@@ -261,22 +259,19 @@ def sweep(  # type: ignore[no-untyped-def]
     row = (nx + 2 * wx) * block
     gx, gy = min(wx, 1), min(wy, 1)
     omega = stage.omega
-    west, east, south, north = work.west, work.east, work.south, work.north
+    west, south, result = work.west, work.south, work.result
     south_moments, rates, v, extremes = work.south_moments, work.rates, work.vectors, work.extremes
     west_moments, east_moments, north_moments = v[0], v[1], v[2]
     west_through, north_through, south_through, east_through = v[3], v[4], v[5], v[6]
     target, sums, m0, wanted, tensor, centre, fitted = v[7], v[8], v[9], v[10], v[11], v[12], v[13]
     factor_x, factor_slab = work.correction[0], work.correction[1]
-    for i in range(nx):
-        for q in range(5):
-            south_moments[i, q] = 0.0
-        for n in range(0, block, 8):
-            store(south, i * block + n, splat(0.0))
+    along_x, along_y = (block if space.dimensions >= 1 else 0), (row if space.dimensions == 2 else 0)
     for n in range(0, block, 8):
-        store(north, n, splat(0.0))
-        store(east, n, splat(0.0))
-    for q in range(5):
-        north_moments[q], east_moments[q], west_moments[q] = 0.0, 0.0, 0.0
+        store(west, n, splat(0.0))
+    for n in range(0, nx * block, 8):
+        store(south, n, splat(0.0))
+    west_moments[:] = 0.0
+    south_moments[:] = 0.0
     for j in range(ny):
         for i in range(nx):
             cell = (j + wy) * row + (i + wx) * block
@@ -286,20 +281,35 @@ def sweep(  # type: ignore[no-untyped-def]
                 omega_w = 0.5 * (omega[j + gy, i] + here)
                 omega_e = 0.5 * (here + omega[j + gy, i + 2])
                 if i == 0:
-                    flux_x(g, cell - block, block, points_x, slab_size, grid.x, grid.slab, omega_w * space.per_dx, west, west_moments)
-                flux_x(g, cell, block, points_x, slab_size, grid.x, grid.slab, omega_e * space.per_dx, east, east_moments)
+                    speed = omega_w * space.per_dx
+                    face_flux(g, cell - block, block, 0, points_x, slab_size, grid.x, grid.slab, speed, west, 0, west_moments)
             if space.dimensions == 2:
                 omega_s = 0.5 * (omega[j, i + gx] + here)
                 omega_n = 0.5 * (here + omega[j + 2, i + gx])
                 if j == 0:
-                    flux_y(
-                        g, cell - row, row, points_x, slab_size, grid.below, grid.x, grid.slab, omega_s * space.per_dy, north, north_moments
+                    speed = omega_s * space.per_dy
+                    face_flux(
+                        g, cell - row, row, 1, points_x, slab_size, grid.x, grid.slab, speed, south, i * block, south_moments[i]
                     )
-                    for n in range(0, block, 8):
-                        store(south, i * block + n, load(north, n))
-                    for q in range(5):
-                        south_moments[i, q] = north_moments[q]
-                flux_y(g, cell, row, points_x, slab_size, grid.below, grid.x, grid.slab, omega_n * space.per_dy, north, north_moments)
+            speeds = (omega_e * space.per_dx, omega_n * space.per_dy)
+            upper_fluxes(
+                g,
+                cell,
+                along_x,
+                along_y,
+                points_x,
+                slab_size,
+                grid.below,
+                grid.x,
+                grid.slab,
+                speeds,
+                west,
+                south,
+                i * block,
+                result,
+                east_moments,
+                north_moments,
+            )
             through(west_moments, omega_w, weight, west_through)
             through(east_moments, omega_e, weight, east_through)
             through(south_moments[i], omega_s, weight, south_through)
@@ -372,18 +382,13 @@ def sweep(  # type: ignore[no-untyped-def]
                 grid.x_face,
                 grid.slab,
                 rates,
-                west,
-                east,
-                south,
-                i * block,
-                north,
                 out,
                 weight_old,
                 weight_new,
                 dt,
                 model.kappa,
                 work.scratch,
-                work.result,
+                result,
             )
 
             # the carried moments at the end of the stage
@@ -429,7 +434,7 @@ def sweep(  # type: ignore[no-untyped-def]
                     store(factor_slab, n, splat(1.0))
                 for q in range(3):
                     target[q] = 0.0
-                weighted_sums(work.result, target, points_x, slab_size, grid.x, grid.slab, factor_x, factor_slab, work.correction[2], sums)
+                weighted_sums(result, target, points_x, slab_size, grid.x, grid.slab, factor_x, factor_slab, work.correction[2], sums)
                 before = cooled(thermal, density, d, model.cooling, -dt if second else dt)
                 dissipated = 0.5 * abs(thermal - before)
             for q in range(4):
@@ -464,7 +469,7 @@ def sweep(  # type: ignore[no-untyped-def]
             if model.conservative:
                 for q in range(5):
                     target[q] = (whole - weight_last) * wanted[q] - weight_first * m0[q]
-                mismatch = correct(work.result, target, d, points_x, slab_size, grid.x, grid.slab, work.correction, sums)
+                mismatch = correct(result, target, d, points_x, slab_size, grid.x, grid.slab, work.correction, sums)
                 if mismatch < 0.0:
                     diagnostics[j, i, STATUS] = NO_CORRECTION
                     continue
@@ -502,7 +507,7 @@ def sweep(  # type: ignore[no-untyped-def]
                 if share > 0.0:
                     done[q] += fitted[q] * (share / whole)
             mix(
-                work.result,
+                result,
                 factor_x,
                 factor_slab,
                 1.0 / whole,

@@ -25,11 +25,6 @@ def update(  # type: ignore[no-untyped-def]
     x_face,
     slab,
     rates,
-    west,
-    east,
-    south,
-    south_at,
-    north,
     old,
     weight_old,
     weight_new,
@@ -38,7 +33,7 @@ def update(  # type: ignore[no-untyped-def]
     scratch,
     result,
 ):
-    """result = weight_old * old + weight_new * (g + dt * (transport + drift)) for the block of one cell.
+    """result = weight_old * old + weight_new * (g + dt * (result + drift)) for the block of one cell.
 
     Parameters
     ----------
@@ -46,15 +41,12 @@ def update(  # type: ignore[no-untyped-def]
         Blocks; this cell's begins at `cell`, which is also its offset in `old`.
     rates : (9,) array
         A, d_x omega, d_y omega, beta u_x, beta u_y, beta u_z, then 1/h of the three velocity directions.
-    west, east, south, north : arrays
-        Blocks of the fluxes through the cell's faces (`transport.py`), `south` from the offset `south_at`; `south`
-        and `west` are overwritten with `north` and `east`, the next cells' lower faces.
     kappa : bool
         Reconstruct with the unlimited third-order upwind-biased parabola instead of Van Leer's limiter.
     scratch : (>= 7 (slab_size + 2 guard),) array
         Work space; zeros between its rows.
     result : (block,) array
-        Receives the new block.
+        The rate of change by transport (`transport.py`); receives the new block.
     """
     points_x, points_y, points_z = points
     guard = points_z + 8
@@ -98,10 +90,7 @@ def update(  # type: ignore[no-untyped-def]
         for n in range(0, slab_size, 8):
             c = load(g, base + n)
             y = load(slab, Y * slab_size + n)
-            f_east, f_north = load(east, at + n), load(north, at + n)
-            r = (load(west, at + n) - f_east) + (load(south, south_at + at + n) - f_north)
-            store(west, at + n, f_east)
-            store(south, south_at + at + n, f_north)
+            r = load(result, at + n)
 
             up = load(g, base + slab_size + n)
             left, right = load(scratch, slope_x + n), load(scratch, slope_next + n)

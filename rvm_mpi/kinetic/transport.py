@@ -9,22 +9,24 @@ from __future__ import annotations
 
 from numba import njit
 
-from rvm_mpi.simd import KERNEL, load, prefetch, splat, store, total, van_leer, where_positive
+from rvm_mpi.simd import KERNEL, load, prefetch, splat, store, total, van_leer, van_leer2, where_positive
 from rvm_mpi.velocity import Y, Z
 
 
 @njit(**KERNEL)
-def flux_x(g, lower, stride, points_x, slab_size, x, slab, speed, flux, moments):  # type: ignore[no-untyped-def]
-    """The flux through a face normal to x.
+def face_flux(g, lower, stride, axis, points_x, slab_size, x, slab, speed, flux, at, moments):  # type: ignore[no-untyped-def]
+    """The flux through one face, for the faces at which a sweep begins.
 
     Parameters
     ----------
     g : (n,) array
-        Blocks of cells; `lower` is the offset of the cell below the face, `stride` that to the next one along x.
+        Blocks of cells; `lower` is the offset of the cell below the face, `stride` that to the next one along the axis.
+    axis : int
+        0 for a face normal to x, 1 for y.
     speed : float
         omega at the face over the cell's width.
-    flux : (block,) array
-        Receives speed * xi_x * g at the face.
+    flux : array
+        Receives speed * xi_n * g at the face, from the offset `at`.
     moments : (5,) array
         Receives the sums of flux times 1, xi_x, xi_y, xi_z, |xi|^2.
     """
@@ -32,70 +34,92 @@ def flux_x(g, lower, stride, points_x, slab_size, x, slab, speed, flux, moments)
     m0, mx, my, mz, m2 = zero, zero, zero, zero, zero
     for k in range(points_x):
         xk = x[k]
-        rate = speed * xk
         base = lower + k * slab_size
-        if xk > 0.0:
-            here, behind, ahead = base, base - stride, base + stride
-        else:
-            here, behind, ahead = base + stride, base + 2 * stride, base
-        s0, sy, sz, s2 = zero, zero, zero, zero
         for n in range(0, slab_size, 8):
-            u = load(g, here + n)
-            f = (u + van_leer(u - load(g, behind + n), load(g, ahead + n) - u)) * rate
-            prefetch(g, base + 3 * stride + n)
-            store(flux, k * slab_size + n, f)
             y = load(slab, Y * slab_size + n)
             z = load(slab, Z * slab_size + n)
-            fy, fz = f * y, f * z
-            s0 = s0 + f
-            sy = sy + fy
-            sz = sz + fz
-            s2 = s2 + (fy * y + fz * z)
-        m0 = m0 + s0
-        mx = mx + s0 * xk
-        my = my + sy
-        mz = mz + sz
-        m2 = m2 + (s2 + s0 * (xk * xk))
+            normal = splat(xk) if axis == 0 else y
+            down, up = load(g, base + n), load(g, base + stride + n)
+            here = where_positive(normal, down, up)
+            behind = where_positive(normal, load(g, base - stride + n), load(g, base + 2 * stride + n))
+            ahead = where_positive(normal, up, down)
+            f = (here + van_leer(here - behind, ahead - here)) * (normal * speed)
+            store(flux, at + k * slab_size + n, f)
+            m0 = m0 + f
+            mx = mx + f * xk
+            my = my + f * y
+            mz = mz + f * z
+            m2 = m2 + f * (y * y + z * z + splat(xk * xk))
     moments[0], moments[1], moments[2], moments[3], moments[4] = total(m0), total(mx), total(my), total(mz), total(m2)
 
 
 @njit(**KERNEL)
-def flux_y(g, lower, stride, points_x, slab_size, below, x, slab, speed, flux, moments):  # type: ignore[no-untyped-def]
-    """The flux through a face normal to y; `below` counts the slab nodes with xi_y < 0 or, for one row, = 0.
+def upper_fluxes(  # type: ignore[no-untyped-def]
+    g, cell, along_x, along_y, points_x, slab_size, below, x, slab, speeds, west, south, south_at, change, moments_x, moments_y
+):
+    """The fluxes through a cell's upper faces, and the rate of change they and the lower ones make.
 
-    Parameters and results are those of `flux_x`, with `stride` the offset to the next cell along y.
+    Parameters
+    ----------
+    g : (n,) array
+        Blocks of cells; this one's begins at `cell`, its upper neighbours' at cell + along_x and cell + along_y.
+    below : int
+        Slab nodes with xi_y < 0.
+    speeds : tuple of two floats
+        omega at the upper x and y face over the cell's width; 0 in an unused direction.
+    west, south : arrays
+        Fluxes through the lower faces, `south` from the offset `south_at`; overwritten with those through the upper
+        ones, the next cells' lower faces.
+    change : (block,) array
+        Receives what enters minus what leaves.
+    moments_x, moments_y : (5,) arrays
+        Receive the moments of the upper fluxes, as in `face_flux`.
     """
     zero = splat(0.0)
     m0, mx, my, mz, m2 = zero, zero, zero, zero, zero
+    p0, px, py, pz, p2 = zero, zero, zero, zero, zero
     for k in range(points_x):
         xk = x[k]
-        base = lower + k * slab_size
+        rate = speeds[0] * xk
+        base = cell + k * slab_size
+        at = k * slab_size
+        if xk > 0.0:
+            here_x, behind_x, ahead_x = base, base - along_x, base + along_x
+        else:
+            here_x, behind_x, ahead_x = base + along_x, base + 2 * along_x, base
         s0, sy, sz, s2 = zero, zero, zero, zero
+        q0, qy, qz, q2 = zero, zero, zero, zero
         for n in range(0, slab_size, 8):
+            prefetch(g, base + 3 * along_x + n)
+            prefetch(g, base + 2 * along_y + along_x + n)
             y = load(slab, Y * slab_size + n)
             z = load(slab, Z * slab_size + n)
-            down = load(g, base + n)
-            up = load(g, base + stride + n)
-            difference = up - down
+            u = load(g, here_x + n)
             if n >= below:
-                face = down + van_leer(down - load(g, base - stride + n), difference)
+                v, behind, ahead = load(g, base + n), load(g, base - along_y + n), load(g, base + along_y + n)
             elif n + 8 <= below:
-                face = up - van_leer(difference, load(g, base + 2 * stride + n) - up)
+                v, behind, ahead = load(g, base + along_y + n), load(g, base + 2 * along_y + n), load(g, base + n)
             else:
-                from_down = down + van_leer(down - load(g, base - stride + n), difference)
-                from_up = up - van_leer(difference, load(g, base + 2 * stride + n) - up)
-                face = where_positive(y, from_down, from_up)
-            prefetch(g, base + 2 * stride + slab_size * points_x + n)
-            f = face * (y * speed)
-            store(flux, k * slab_size + n, f)
-            fy, fz = f * y, f * z
+                down, up = load(g, base + n), load(g, base + along_y + n)
+                v, ahead = where_positive(y, down, up), where_positive(y, up, down)
+                behind = where_positive(y, load(g, base - along_y + n), load(g, base + 2 * along_y + n))
+            slope_x, slope_y = van_leer2(u - load(g, behind_x + n), load(g, ahead_x + n) - u, v - behind, ahead - v)
+            f = (u + slope_x) * rate
+            h = (v + slope_y) * (y * speeds[1])
+            difference = (load(west, at + n) - f) + (load(south, south_at + at + n) - h)
+            store(west, at + n, f)
+            store(south, south_at + at + n, h)
+            store(change, at + n, difference)
+            square = y * y + z * z
             s0 = s0 + f
-            sy = sy + fy
-            sz = sz + fz
-            s2 = s2 + (fy * y + fz * z)
-        m0 = m0 + s0
-        mx = mx + s0 * xk
-        my = my + sy
-        mz = mz + sz
-        m2 = m2 + (s2 + s0 * (xk * xk))
-    moments[0], moments[1], moments[2], moments[3], moments[4] = total(m0), total(mx), total(my), total(mz), total(m2)
+            sy = sy + f * y
+            sz = sz + f * z
+            s2 = s2 + f * square
+            q0 = q0 + h
+            qy = qy + h * y
+            qz = qz + h * z
+            q2 = q2 + h * square
+        m0, mx, my, mz, m2 = m0 + s0, mx + s0 * xk, my + sy, mz + sz, m2 + (s2 + s0 * (xk * xk))
+        p0, px, py, pz, p2 = p0 + q0, px + q0 * xk, py + qy, pz + qz, p2 + (q2 + q0 * (xk * xk))
+    moments_x[0], moments_x[1], moments_x[2], moments_x[3], moments_x[4] = total(m0), total(mx), total(my), total(mz), total(m2)
+    moments_y[0], moments_y[1], moments_y[2], moments_y[3], moments_y[4] = total(p0), total(px), total(py), total(pz), total(p2)
