@@ -1,4 +1,4 @@
-"""What the plotting scripts share: reading runs, choosing times, colour maps, saving figures, errors in one line."""
+"""What the plotting scripts share: reading runs, choosing times, saving figures, errors in one line."""
 
 from __future__ import annotations
 
@@ -40,7 +40,6 @@ plt.rcParams.update(
         "axes.formatter.use_mathtext": True,
         "image.cmap": "viridis",
         "legend.frameon": False,
-        "savefig.bbox": "tight",
         "savefig.dpi": 200,
     }
 )
@@ -118,7 +117,7 @@ def time_label(time: float) -> str:
 
 
 def quantities(run: xarray.Dataset) -> dict[str, str]:
-    """What can be drawn of a spatial run, and how it is labelled: density, in-plane velocities, temperature."""
+    """What can be drawn of a spatial run, with labels: density, velocities in the plane, temperature."""
     in_plane = min(run.kinetic_density.ndim - 1, run.sizes["component"])
     velocities = {f"velocity_{axis}": rf"velocity $u_{axis}$" for axis in "xy"[:in_plane]}
     return {"density": r"density $\rho$", **velocities, "temperature": r"temperature $T$"}
@@ -151,8 +150,15 @@ def save(figure: Figure, directory: Path, name: str):
     """Write NAME.png and NAME.pdf into DIR/figures, and print the paths."""
     folder = (directory if directory.is_dir() else directory.parent) / "figures"
     folder.mkdir(exist_ok=True)
+    # lay out and measure once, not once for each file
+    figure.draw_without_rendering()
+    if hasattr(figure, "set_layout_engine"):
+        figure.set_layout_engine("none")
+    else:
+        figure.set_constrained_layout(False)
+    box = figure.get_tightbbox(figure.canvas.get_renderer()).padded(0.08)
     for suffix in ("png", "pdf"):
         path = folder / f"{name}.{suffix}"
-        figure.savefig(path)
+        figure.savefig(path, bbox_inches=box)
         print(path)
     plt.close(figure)

@@ -1,7 +1,7 @@
 """Contour plots of a run in two space dimensions: kinetic above fluid, one column for each time.
 
-One figure each for density, the velocity components in the plane and temperature, the same colour limits in both
-rows, and an overview of all of them at the last time. PNG and PDF into DIR/figures.
+One figure each for density, the velocity components in the plane and temperature, the same colour limits in
+both rows, and an overview of all of them at the last time. PNG and PDF into DIR/figures.
 
     python postprocess/contours.py runs/test4_clustering --times 0 0.25 1 5 10 30
 """
@@ -156,7 +156,9 @@ def _hint(quantity, fields, shared):
     columns = np.stack([values.reshape(len(values), -1) for values in fields.values()], axis=1)
     spread = columns.max(axis=(1, 2)) - columns.min(axis=(1, 2))
     if len(spread) > 1 and spread.max() > 0 and spread[-1] < 0.1 * width:
-        print(f"# {quantity}: the last time spans {spread[-1] / width:.0%} of the colours; see --scale per-time")
+        print(
+            f"# {quantity}: the last time spans {spread[-1] / width:.0%} of the colours; see --scale per-time"
+        )
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""How a run went: cooling beside Haff's law, the density's deviation from uniform, and the health of the numbers.
+"""How a run went: cooling beside Haff's law, the density's deviation from uniform, the health of the numbers.
 
 Three figures into DIR/figures, as PNG and PDF: history_cooling (mean temperature and energy), history_density
 (variance of the density, and its L1 deviation from the mean with the fitted rate of damping in log t), and
@@ -59,8 +59,8 @@ def damping_rate(time, values):
 
     Returns
     -------
-    (rate, factor) of values = factor * time^rate, or None where that makes no sense: fewer than six points in all,
-    a decrease by less than a factor of two, or points that a power of time does not describe (R^2 below 0.8).
+    rate, fitted times, fit at these times; or None where that makes no sense: fewer than six points in all, a
+    decrease by less than a factor of two, or points that a power of time does not describe (R^2 below 0.8).
     """
     use = (time > 0) & (values > 0)
     time, values = time[use], values[use]
@@ -77,11 +77,14 @@ def damping_rate(time, values):
     misfit = y - (constant + rate * x)
     if 1 - misfit.var() / y.var() < 0.8:
         return None
-    return float(rate), float(np.exp(constant))
+    return float(rate), time, np.exp(constant) * time**rate
 
 
 def mass_error(history):
-    """Relative change of the mass beyond what has entered through the sides (columns entered_mass_..., in sum)."""
+    """Relative change of the mass beyond what has entered through the sides since the start.
+
+    What has entered is in the columns whose names begin with entered_mass.
+    """
     entered = sum(values for name, values in history.items() if name.startswith("entered_mass"))
     return (history["mass"] - history["mass"][0] - entered) / history["mass"][0]
 
@@ -116,7 +119,7 @@ def _cooling(run, job, history):
         left.plot(time[shown], law, color="black", ls=":", label="Haff's law at the mean density")
         left.set_xscale("log")
         left.set_yscale("log")
-    left.set_ylabel(r"mean temperature $\sum \rho T / \sum \rho$")
+    left.set_ylabel(r"mean temperature $\langle \rho T \rangle / \langle \rho \rangle$")
     start = history["energy"][0]
     right.plot(time[shown], history["energy"][shown] / start, **common.KINETIC, label="kinetic")
     if "fluid_energy" in history and np.isfinite(history["fluid_energy"]).all():
@@ -135,29 +138,31 @@ def _cooling(run, job, history):
 def _density(run):
     figure, (left, right) = plt.subplots(1, 2, figsize=(8.6, 3.6))
     time = run.time.values
+    later = time[time > 0]
+    wide = len(later) > 1 and later[-1] > 20 * later[0]
+    shown = time > 0 if wide else slice(None)
     for model in common.models(run):
         style = {**(common.KINETIC if model == "kinetic" else common.FLUID), "marker": "o", "ms": 3}
-        left.plot(time, variance(run, model), **style, label=model)
+        left.plot(time[shown], variance(run, model)[shown], **style, label=model)
         values = deviation(run, model)
         fit = damping_rate(time, values)
-        label = model if fit is None else f"{model}, rate {fit[0]:.3g} in $\\log t$"
-        right.plot(time, values, **style, label=label)
+        label = model
         if fit is not None:
-            late = time[time > 0]
-            right.plot(late, fit[1] * late ** fit[0], color=style["color"], ls=":", lw=1)
-    left.set_ylabel(r"variance of the density")
+            label += f", rate {fit[0]:.3g} in $\\log t$"
+            right.plot(*fit[1:], color=style["color"], ls=":", lw=1)
+        right.plot(time[shown], values[shown], **style, label=label)
+    if wide:
+        for axis, measure in ((left, variance), (right, deviation)):
+            axis.axhline(measure(run, "kinetic")[0], color="grey", lw=0.7, ls=":", label="kinetic at $t = 0$")
+            axis.set_xscale("log")
+    left.set_ylabel("variance of the density")
     left.set_ylim(bottom=0)
     right.set_ylabel(r"mean of $|\rho - \overline{\rho}|$")
-    later = time[time > 0]
+    if len(time) > FEWEST_FOR_A_FIT and deviation(run, "kinetic")[shown].min() > 0:
+        right.set_yscale("log")
     for axis in (left, right):
         axis.set_xlabel("$t$")
-        if len(later) > 1 and later[-1] > 20 * later[0]:
-            # time zero keeps its place at the left end
-            axis.set_xscale("symlog", linthresh=later[0], linscale=0.3)
-            axis.set_xlim(0, later[-1] * 1.1)
         axis.legend()
-    if deviation(run, "kinetic").min() > 0 and (len(time) > FEWEST_FOR_A_FIT):
-        right.set_yscale("log")
     figure.suptitle(common.title_of(run))
     return figure
 

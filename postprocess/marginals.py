@@ -1,8 +1,8 @@
 """First marginals of the distribution: in scaled velocities (g over xi_x) and in classical ones (f over v_x).
 
-Without space: curves, one for each time, several run directories in the same panels. With space: colour maps over
-position and velocity, along the middle of the domain in two dimensions. Needs output.marginals = true in the job.
-PNG and PDF into the first DIR's figures.
+Without space: curves, one for each time, several run directories in the same panels. With space: colour maps
+over position and velocity, along the middle of the domain in two dimensions. Needs output.marginals = true in
+the job. PNG and PDF into the first DIR's figures.
 
     python postprocess/marginals.py runs/test5_shock --times 0
 """
@@ -28,7 +28,7 @@ def main(argv=None) -> int:
 
 
 def classical(marginal, xi, omega, v):
-    """Marginal of f on velocities v from that of g: f1(v) = g1(v / omega) / omega, zero outside the grid of g.
+    """Marginal of f on velocities v from that of g: f1(v) = g1(v / omega) / omega, zero outside g's grid.
 
     Parameters
     ----------
@@ -48,7 +48,9 @@ def _draw(options):
     runs = [common.open_run(directory) for directory in options.directories]
     for directory, run in zip(options.directories, runs, strict=True):
         if "marginal_x" not in run:
-            raise common.PlotError(f"{directory} holds no marginals: run the job with output.marginals = true")
+            raise common.PlotError(
+                f"{directory} holds no marginals: run the job with output.marginals = true"
+            )
     if all(run.kinetic_density.ndim == 1 for run in runs):
         common.save(_curves(options, runs), options.directories[0], "marginals")
         return
@@ -99,7 +101,9 @@ def _maps(run, chosen):
     scales = ({"vmin": 0.0, "vmax": float(marginal[chosen].max())}, {"norm": LogNorm(top / 10**DECADES, top)})
     for row, index in enumerate(chosen):
         maps = []
-        for axis, velocity, values, scale in zip(axes[row], (xi, v), (marginal[index], f1[row]), scales, strict=True):
+        for axis, velocity, values, scale in zip(
+            axes[row], (xi, v), (marginal[index], f1[row]), scales, strict=True
+        ):
             shown = np.where(values > 0, values, np.nan) if "norm" in scale else values
             maps.append(axis.pcolormesh(x, velocity, shown.T, shading="nearest", rasterized=True, **scale))
             axis.set_title(common.time_label(float(run.time[index])))
@@ -108,8 +112,12 @@ def _maps(run, chosen):
         axes[row, 1].set_facecolor(plt.get_cmap()(0.0))
     for axis in axes[-1]:
         axis.set_xlabel("$x$")
-    figure.colorbar(maps[0], ax=axes[:, 0], location="bottom", aspect=30, label=r"scaled: $g^{(1)}(x, \xi_x)$")
-    figure.colorbar(maps[1], ax=axes[:, 1], location="bottom", aspect=30, label="classical: $f^{(1)}(x, v_x)$")
+    figure.colorbar(
+        maps[0], ax=axes[:, 0], location="bottom", aspect=30, label=r"scaled: $g^{(1)}(x, \xi_x)$"
+    )
+    figure.colorbar(
+        maps[1], ax=axes[:, 1], location="bottom", aspect=30, label="classical: $f^{(1)}(x, v_x)$"
+    )
     figure.suptitle(common.title_of(run))
     return figure
 

@@ -28,7 +28,7 @@ def main(argv=None) -> int:
 
 
 def middle_cut(values, along):
-    """Cut fields (..., y, x) through the middle: along "x" or "y"; an even number of cells gives the mean of two."""
+    """Cut fields (..., y, x) through the middle, along "x" or "y"; even numbers of rows: the mean of two."""
     axis = -2 if along == "x" else -1
     n = values.shape[axis]
     return np.take(values, range((n - 1) // 2, n // 2 + 1), axis=axis).mean(axis=axis)
@@ -52,9 +52,13 @@ def _draw(options):
     chosen = common.choose_times(first, options.times)
     times = first.time.values[chosen]
     labels = common.quantities(first)
-    size = (1.0 + 2.6 * len(chosen), 0.8 + 2.0 * len(labels))
+    width = min(max(11.0 / len(chosen), 2.0), 4.0)
     figure, axes = plt.subplots(
-        len(labels), len(chosen), figsize=(max(size[0], 4.5), size[1]), sharex=True, squeeze=False
+        len(labels),
+        len(chosen),
+        figsize=(1.0 + width * len(chosen), 0.8 + 1.8 * len(labels)),
+        sharex=True,
+        squeeze=False,
     )
     for number, (directory, run) in enumerate(zip(options.directories, runs, strict=True)):
         along = options.cut if run.kinetic_density.ndim == 3 else "x"
@@ -87,7 +91,8 @@ def _finish(figure, axes, run, labels, times, options):
             if spread < 1e-9 * max(abs(middle), 1e-3):  # a constant, not its last bits
                 margin = 0.05 * max(abs(middle), 1.0)
                 axis.set_ylim(middle - margin, middle + margin)
-    axes[0, -1].legend()
+    handles, names = axes[0, 0].get_legend_handles_labels()
+    figure.legend(handles, names, loc="upper center", bbox_to_anchor=(0.5, 0.0), ncol=4)
     where = ""
     if run.kinetic_density.ndim == 3:
         other = "y" if cut == "x" else "x"

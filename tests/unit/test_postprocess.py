@@ -1,0 +1,386 @@
+"""The plotting scripts: what they compute, what they draw, and how they refuse."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+
+from rvm_mpi import results
+from rvm_mpi.job import Job
+
+POSTPROCESS = Path(__file__).resolve().parents[2] / "postprocess"
+sys.path.insert(0, str(POSTPROCESS))
+
+import common  # noqa: E402
+import contours  # noqa: E402
+import history  # noqa: E402
+import marginals  # noqa: E402
+import profiles  # noqa: E402
+
+DPI = 40  # coarse pictures are drawn faster
+common.plt.rcParams["savefig.dpi"] = DPI
+
+TIMES = [0.0, 0.5, 1.0, 2.0]
+
+
+def density(model, time, x, y):
+    return 1 + 0.5 * np.exp(-time) * np.cos(2 * np.pi * x) * np.cos(4 * np.pi * y) * (
+        1 if model == "kinetic" else 0.8
+    )
+
+
+def temperature(model, time, x, y):
+    return (1 if model == "kinetic" else 1.1) * (2 + np.sin(2 * np.pi * y)) / (1 + time) ** 2 + 0 * x
+
+
+def make_run(directory, cells=(12, 8), times=TIMES, marginals=True, fluid=True, snapshots=None):
+    """A run directory with fields given by the functions above and a plain history."""
+    directory.mkdir()
+    space = {"cells": list(cells), "lower": [-1.0, 0.0][: len(cells)], "upper": [1.0, 1.0][: len(cells)]}
+    job = Job.from_dict(
+        {
+            "title": "a $run$ of costs",
+            "space": space,
+            "velocity": {"points": [16, 6, 4], "half_width": 7.0},
+            "collision": {"operator": "granular-es-bgk", "knudsen": 0.1, "restitution": 0.9},
+            "initial": {"state": "uniform"},
+            "fluid": {"enabled": fluid},
+            "time": {"end": times[-1]},
+            "output": {"times": times, "marginals": marginals},
+        }
+    )
+    (directory / "job.toml").write_text(job.to_toml())
+    nx, ny = (*cells, 1, 1)[:2]
+    domain = SimpleNamespace(dimensions=len(cells), start=(0, 0), local=(nx, ny))
+    x, y = np.meshgrid(-1 + (np.arange(nx) + 0.5) * 2 / nx, (np.arange(ny) + 0.5) / ny)
+    xi = -7 + (np.arange(16) + 0.5) * 14 / 16
+    rows = results.History(directory / "history.csv", (*HISTORY, "correction"))
+    with results.FieldsFile(directory / "fields.h5", MPI.COMM_SELF, domain, job, {}) as file:
+        for index, time in enumerate(times[:snapshots]):
+            fields = {
+                name: np.zeros((ny, nx, *v.shape[len(cells) :]))
+                for name, v in results.field_layout(job).items()
+            }
+            for model in ("kinetic", "fluid")[: 1 + fluid]:
+                fields[f"{model}/density"][...] = density(model, time, x, y)
+                fields[f"{model}/temperature"][...] = temperature(model, time, x, y)
+                fields[f"{model}/velocity"][..., 0] = time * np.sin(np.pi * x)
+                fields[f"{model}/velocity"][..., 1] = -time * np.sin(np.pi * y)
+            omega = np.sqrt(temperature("kinetic", time, x, y))
+            fields["scaling/omega"][...] = omega
+            if marginals:
+                g1 = np.exp(-(xi**2) / 2) / np.sqrt(2 * np.pi)
+                fields["marginal/x"][...] = fields["kinetic/density"][..., None] * g1
+            file.write(index, time, fields)
+    for step, time in enumerate(np.linspace(0, times[-1], 30)):
+        values = dict.fromkeys((*HISTORY, "correction"), 0.0)
+        values.update(step=step, time=time, mass=2.0 + 1e-15 * step, energy=6 / (1 + time) ** 2, max_g=0.1)
+        values.update(mean_temperature=2 / (1 + time) ** 2, min_g=-1e-14, fluid_energy=6 / (1 + time) ** 2)
+        values["correction"] = 1e-4 * (step > 0)
+        rows.append(values)
+    rows.close()
+    return directory
+
+
+HISTORY = (
+    "step",
+    "time",
+    "mass",
+    "energy",
+    "fluid_energy",
+    "mean_temperature",
+    "min_g",
+    "max_g",
+)
+
+
+def figures(directory):
+    return sorted(path.name for path in (directory / "figures").iterdir())
+
+
+def both(*names):
+    return sorted(f"{name}.{suffix}" for name in names for suffix in ("pdf", "png"))
+
+
+CONTOURS = [
+    "contours_density",
+    "contours_velocity_x",
+    "contours_velocity_y",
+    "contours_temperature",
+    "contours_last",
+]
+
+
+@pytest.mark.parametrize(
+    ("script", "cells", "names"),
+    [
+        (contours, (12, 8), CONTOURS),
+        (history, (12, 8), ["history_cooling", "history_density", "history_health"]),
+        (history, (), ["history_cooling", "history_health"]),
+        (profiles, (12, 8), ["profiles"]),
+        (profiles, (12,), ["profiles"]),
+        (marginals, (), ["marginals"]),
+        (marginals, (12,), ["marginals"]),
+        (marginals, (12, 8), ["marginals"]),
+    ],
+)
+def test_each_script_writes_png_and_pdf_and_prints_the_paths(tmp_path, capsys, script, cells, names):
+    directory = make_run(tmp_path / "run", cells)
+    assert script.main([str(directory)]) == 0
+    assert figures(directory) == both(*names)
+    printed = [line for line in capsys.readouterr().out.splitlines() if not line.startswith("#")]
+    assert sorted(Path(line).name for line in printed) == both(*names)
+    for path in (directory / "figures").iterdir():
+        assert path.stat().st_size > 2000
+
+
+def test_a_script_runs_by_itself_without_mpi_and_from_anywhere(tmp_path):
+    directory = make_run(tmp_path / "run")
+    clean = {
+        k: v for k, v in os.environ.items() if not k.startswith(("OMPI", "PMI", "MPI", "H5PY", "PYTHONPATH"))
+    }
+    code = (
+        "import sys, runpy\n"
+        f"sys.argv = ['marginals.py', {str(directory)!r}]; sys.path.insert(0, {str(POSTPROCESS)!r})\n"
+        f"try: runpy.run_path({str(POSTPROCESS / 'marginals.py')!r}, run_name='__main__')\n"
+        "except SystemExit as end:\n"
+        "    print('EXIT', end.code, 'mpi4py.MPI' in sys.modules, 'petsc4py' in sys.modules)"
+    )
+    run = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, env=clean, cwd=tmp_path, timeout=120
+    )
+    assert run.stdout.splitlines()[-1] == "EXIT 0 False False", run.stdout + run.stderr
+
+
+def test_a_run_without_fluid_has_one_row(tmp_path):
+    directory = make_run(tmp_path / "run", fluid=False)
+    assert history.main([str(directory)]) == 0
+    assert profiles.main([str(directory), "--times", "1"]) == 0
+    run = common.open_run(directory)
+    figure = contours._by_time(run, "density", "density", [0, 1], "shared")
+    assert len(figure.axes) == 2 + 1
+
+
+@pytest.fixture
+def drawn(monkeypatch):
+    """Records each call that draws contours: axis, values, levels, colour map."""
+    from matplotlib.axes import Axes
+
+    calls = []
+    original = Axes.contourf
+
+    def record(axis, x, y, values, levels, cmap, **more):
+        calls.append(SimpleNamespace(axis=axis, x=x, y=y, values=values, levels=levels, cmap=cmap))
+        return original(axis, x, y, values, levels=levels, cmap=cmap, **more)
+
+    monkeypatch.setattr(Axes, "contourf", record)
+    return calls
+
+
+def test_both_rows_and_all_times_share_the_colour_limits_and_one_bar(tmp_path, drawn):
+    run = common.open_run(make_run(tmp_path / "run"))
+    figure = contours._by_time(run, "temperature", "T", [0, 1, 3], "shared")
+    assert len(figure.axes) == 2 * 3 + 1
+    assert len(drawn) == 6
+    fields = np.concatenate(
+        [common.field(run, model, "temperature")[[0, 1, 3]] for model in ("kinetic", "fluid")]
+    )
+    for call in drawn:
+        assert (call.levels[0], call.levels[-1]) == (fields.min(), fields.max())
+        assert call.axis.get_aspect() in (1.0, "equal")
+    # kinetic above fluid, times from left to right
+    for call, values in zip(sorted(drawn, key=lambda c: figure.axes.index(c.axis)), fields, strict=True):
+        assert np.array_equal(call.values[1:-1, 1:-1], values)
+    assert [axis.get_title() for axis in figure.axes[:3]] == ["$t = 0$", "$t = 0.5$", "$t = 2$"]
+    assert [axis.get_ylabel().split("\n")[0] for axis in figure.axes[:6:3]] == ["kinetic", "fluid"]
+
+
+def test_per_time_scale_shares_limits_within_a_column_only(tmp_path, drawn):
+    run = common.open_run(make_run(tmp_path / "run"))
+    figure = contours._by_time(run, "temperature", "T", [0, 3], "per-time")
+    assert len(figure.axes) == 2 * 2 + 2
+    kinetic, fluid = (common.field(run, model, "temperature") for model in ("kinetic", "fluid"))
+    tops = {call.levels[-1] for call in drawn}
+    assert tops == {fluid[0].max(), fluid[3].max()}
+    assert {call.levels[0] for call in drawn} == {kinetic[0].min(), kinetic[3].min()}
+
+
+def test_contours_fill_the_domain(tmp_path, drawn):
+    run = common.open_run(make_run(tmp_path / "run"))
+    contours._by_time(run, "density", "rho", [0], "shared")
+    call = drawn[0]
+    assert (call.x[0], call.x[-1], call.y[0], call.y[-1]) == pytest.approx((-1, 1, 0, 1))
+    assert call.axis.get_xlim() == pytest.approx((-1, 1))
+    assert call.axis.get_ylim() == pytest.approx((0, 1))
+
+
+def test_velocity_limits_are_symmetric_with_zero_inside_a_band():
+    low, high = contours._limits("velocity_x", np.array([-1.0, 3.0]), np.array([2.0]))
+    assert (low, high) == (-3.0, 3.0)
+    assert contours._limits("velocity_y", np.zeros(4)) == (-1.0, 1.0)
+    levels = np.linspace(low, high, contours.BANDS + 1)
+    assert np.abs(levels).min() > 0.01
+
+
+def test_constant_and_broken_fields():
+    low, high = contours._limits("density", np.full(5, 2.0))
+    assert low < 2.0 < high
+    low, high = contours._limits("density", np.array([1.0, 1.0 + 1e-15]))
+    assert high - low == pytest.approx(0.1)
+    with pytest.raises(common.PlotError, match="not finite"):
+        contours._limits("density", np.array([1.0, np.nan]))
+
+
+def test_no_text_is_cut_off_or_overlaps_the_next_panel(tmp_path):
+    run = common.open_run(make_run(tmp_path / "run"))
+    figure = contours._by_time(run, "density", "density", [0, 1, 2, 3], "shared")
+    figure.canvas.draw()
+    boxes = [axis.get_tightbbox(figure.canvas.get_renderer()) for axis in figure.axes]
+    for number, box in enumerate(boxes):
+        assert box.x0 > -1 and box.y0 > -1 and box.x1 < figure.bbox.x1 + 1 and box.y1 < figure.bbox.y1 + 1
+        for other in boxes[number + 1 :]:
+            overlap = (
+                min(box.x1, other.x1) - max(box.x0, other.x0),
+                min(box.y1, other.y1) - max(box.y0, other.y0),
+            )
+            assert min(overlap) < 8
+
+
+@pytest.mark.parametrize(
+    ("script", "cells", "arguments", "message"),
+    [
+        (contours, (12,), [], "has 1 space dimensions: use profiles.py"),
+        (contours, (), [], "use history.py or marginals.py"),
+        (profiles, (), [], "no space dimension"),
+        (contours, (12, 8), ["--times", "0.7"], "no snapshot at t = 0.7; stored are 0, 0.5, 1, 2"),
+    ],
+)
+def test_what_cannot_be_drawn_is_one_line_and_exit_2(tmp_path, capsys, script, cells, arguments, message):
+    directory = make_run(tmp_path / "run", cells)
+    assert script.main([str(directory), *arguments]) == 2
+    error = capsys.readouterr().err
+    assert message in error
+    assert error.count("\n") == 1
+    assert not (directory / "figures").exists()
+
+
+@pytest.mark.parametrize("script", [contours, history, profiles, marginals])
+def test_a_directory_that_is_no_run_or_has_no_snapshot(tmp_path, capsys, script):
+    assert script.main([str(tmp_path)]) == 2
+    assert "fields.h5: no such file" in capsys.readouterr().err
+    assert script.main([str(make_run(tmp_path / "run", snapshots=0))]) == 2
+    assert "has no snapshot yet" in capsys.readouterr().err
+
+
+def test_marginals_that_were_not_stored(tmp_path, capsys):
+    assert marginals.main([str(make_run(tmp_path / "run", marginals=False))]) == 2
+    assert "output.marginals = true" in capsys.readouterr().err
+
+
+def test_an_unfinished_run_is_drawn_as_far_as_it_is(tmp_path):
+    directory = make_run(tmp_path / "run", snapshots=2)
+    assert common.open_run(directory).time.values.tolist() == [0.0, 0.5]
+    assert profiles.main([str(directory)]) == 0
+
+
+def test_several_runs_in_one_figure(tmp_path):
+    first, second = make_run(tmp_path / "a", (12,)), make_run(tmp_path / "b", (20,))
+    assert profiles.main([str(first), str(second), "--normalised", "--times", "0.5", "2"]) == 0
+    assert figures(first) == both("profiles")
+    assert not (second / "figures").exists()
+
+
+def test_chosen_times():
+    run = SimpleNamespace(time=SimpleNamespace(values=np.linspace(0, 1, 101)))
+    assert common.choose_times(run, None) == [0, 20, 40, 60, 80, 100]
+    assert common.choose_times(run, [0.25, 0.0]) == [25, 0]
+    run = SimpleNamespace(time=SimpleNamespace(values=np.array([0.0, 0.25, 30.0])))
+    assert common.choose_times(run, None) == [0, 1, 2]
+
+
+def test_haffs_law_solves_its_equation():
+    time = np.linspace(0, 5, 2001)
+    law = history.haff(time, 2.0, 0.7, 0.3)
+    assert law[0] == 2.0
+    slope = np.gradient(law, time, edge_order=2)
+    assert slope[1:-1] == pytest.approx((-2 * 0.3 * 0.7 * law**1.5)[1:-1], rel=1e-4)
+
+
+def test_damping_rate_of_plain_and_oscillating_decay():
+    time = np.geomspace(0.5, 50, 400)
+    rate, fitted_time, fit = history.damping_rate(time, 3 * time**-1.7)
+    assert rate == pytest.approx(-1.7)
+    assert fit == pytest.approx(3 * fitted_time**-1.7)
+    oscillating = np.abs(time**-1.4 * np.cos(9 * np.log(time))) + 1e-9
+    rate, peaks, _ = history.damping_rate(time, oscillating)
+    assert rate == pytest.approx(-1.4, abs=0.05)
+    assert 8 <= len(peaks) <= 14
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        np.ones(20),
+        np.linspace(1, 2, 20),
+        np.concatenate([np.ones(19), [0.1]]),
+        np.random.default_rng(0).uniform(0.1, 1, 20),
+    ],
+)
+def test_no_damping_rate_where_there_is_no_damping(values):
+    assert history.damping_rate(np.linspace(1, 10, 20), values) is None
+    assert history.damping_rate(np.arange(1.0, 6.0), np.arange(1.0, 6.0) ** -2) is None
+
+
+def test_means_over_the_domain(tmp_path):
+    run = common.open_run(make_run(tmp_path / "run"))
+    for index in (0, 3):
+        rho, temperature_ = run.kinetic_density.values[index], run.kinetic_temperature.values[index]
+        expected = (rho * temperature_).sum() / rho.sum()
+        assert history.mean_temperature(run, "kinetic")[index] == pytest.approx(expected)
+        assert history.variance(run, "fluid")[index] == pytest.approx(run.fluid_density.values[index].var())
+        assert history.deviation(run, "kinetic")[index] == pytest.approx(np.abs(rho - 1).mean())
+
+
+def test_mass_error_leaves_out_what_entered():
+    columns = {
+        "mass": np.array([2.0, 3.0, 5.0 + 2e-6]),
+        "entered_mass_x-lower": np.array([0.0, 1.5, 4.0]),
+        "entered_mass_x-upper": np.array([0.0, -0.5, -1.0]),
+    }
+    assert history.mass_error(columns) == pytest.approx([0, 0, 1e-6], abs=1e-12)
+    assert history.mass_error({"mass": np.array([2.0, 2.1])}) == pytest.approx([0, 0.05])
+
+
+@pytest.mark.parametrize(("n", "expected"), [(5, 2.0), (6, 2.5)])
+def test_cut_through_the_middle(n, expected):
+    values = np.broadcast_to(np.arange(float(n))[:, None], (3, n, 4))
+    assert profiles.middle_cut(values, "x") == pytest.approx(np.full((3, 4), expected))
+    assert profiles.middle_cut(values.swapaxes(1, 2), "y") == pytest.approx(np.full((3, 4), expected))
+
+
+def test_normalised_profiles_have_mean_one(tmp_path):
+    run = common.open_run(make_run(tmp_path / "run", (12,)))
+    values = profiles.profile(run, "kinetic", "temperature", normalised=True)
+    assert values.mean(axis=1) == pytest.approx(np.ones(4))
+    velocity = profiles.profile(run, "kinetic", "velocity_x", normalised=True)
+    assert np.array_equal(velocity, run.kinetic_velocity.values[:, :, 0])
+
+
+def test_the_classical_marginal_is_the_scaled_one_stretched():
+    xi = -7 + (np.arange(400) + 0.5) * 14 / 400
+    omega = np.array([0.5, 4.0])
+    g1 = np.exp(-(xi**2) / 2) / np.sqrt(2 * np.pi)
+    v = np.linspace(-30, 30, 6001)
+    f1 = marginals.classical(np.stack([g1, g1]), xi, omega, v)
+    for row, w in zip(f1, omega, strict=True):
+        assert row == pytest.approx(np.exp(-((v / w) ** 2) / 2) / np.sqrt(2 * np.pi) / w, abs=2e-4)
+        assert row.sum() * 0.01 == pytest.approx(1, abs=1e-4)
+
+
+def test_titles_are_not_read_as_mathematics(tmp_path):
+    assert common.title_of(common.open_run(make_run(tmp_path / "run"))) == r"a \$run\$ of costs"
