@@ -20,7 +20,6 @@ install:  ## install what is missing (system packages, then .venv); says what be
 demo: install  ## a short clustering run on 2 ranks and its contour plots, in runs/demo
 	$(MPIRUN) .venv/bin/rvm run jobs/demo.toml --output runs/demo --overwrite
 	$(PYTHON) postprocess/contours.py runs/demo
-	@echo "The pictures:" && ls -1 runs/demo/figures/*.png
 
 test: lint  ## lint and the test suite, except what takes minutes; 1, 2 and 4 ranks where ranks matter
 	$(PYTHON) -m pytest -m "not long"
