@@ -223,13 +223,17 @@ def _step_lines(job: Job, ranks: int) -> Iterator[str]:
     first = estimates.first_step(job)
     yield _row("first time step", f"{first.dt:.4g}, limited by {first.limit}")
     rates = f"transport {first.transport_rate:.4g}, drift {first.drift_rate:.4g}"
+    if first.growth_rate > 0:
+        rates += f" (of it {first.growth_rate:.4g} by d omega/dt)"
     yield _row("  rates", f"{rates}, cooling {first.cooling_rate:.4g}")
-    number = f"about {estimates.steps(job):.3g} to t = {job.time.end:g}"
-    yield _row("steps", f"{number}, as far as the initial state tells")
+    if first.later > first.dt:
+        yield _row("  later", f"up to {first.later:.4g}, when jumps of the initial state have smoothed out")
+    number = estimates.steps(job)
+    yield _row("steps", f"at least {number:.0f} to t = {job.time.end:g}, as far as the initial state tells")
     seconds = estimates.run_seconds(job, ranks)
     on = f"{ranks} {'core' if ranks == 1 else 'cores'}"
     yield _row(
-        "run time", f"about {estimates.duration_in_words(seconds)} on {on}; `rvm bench` measures yours"
+        "run time", f"at least {estimates.duration_in_words(seconds)} on {on}; `rvm bench` measures yours"
     )
 
 

@@ -6,7 +6,7 @@ Estimates look at the initial state alone and say so; nothing here starts MPI.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import ceil, gamma, inf, isfinite, log1p, prod, sqrt
+from math import ceil, gamma, inf, isfinite, log1p, pi, prod, sqrt
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,7 +18,7 @@ from rvm_mpi.states import macroscopic_state
 if TYPE_CHECKING:
     from rvm_mpi.job import Job
 
-LIBRARIES = 250e6
+LIBRARIES = 225e6
 """Bytes a process holds before it has any array: Python, numpy, numba and its kernels, PETSc, MPI, HDF5."""
 SECONDS_PER_CELL = 3e-9
 """Nominal time of one stage for one phase-space cell on one core; `rvm bench` measures a machine's own."""
@@ -229,14 +229,19 @@ class FirstStep:
     """Sum over the space directions of omega V / dx, largest over the cells."""
     drift_rate: float
     """Sum over the velocity directions of |a| / h, largest over the cells."""
+    growth_rate: float
+    """The part of the drift rate that is |d omega/dt| / omega times sum V / h, largest over the cells."""
     cooling_rate: float
     """|d ln E/dt|, largest over the cells."""
+    later: float
+    """The step once jumps of the start have smoothed out: without the drift that omega's changes cause."""
 
 
 def first_step(job: Job) -> FirstStep:
     """The first step: dt = cfl / max over cells of sum omega V / dx + sum |a| / h, and the other limits.
 
-    a takes grad omega from differences of neighbouring cells, and d_t omega to cancel the cooling's drag.
+    a takes grad omega from differences of neighbouring cells. d_t omega cancels the cooling's drag; what
+    streams in from the neighbours adds to it in the kinetic scaling.
     """
     start = start_fields(job)
     velocity, space, d = job.velocity, job.space, job.velocity.dimensions
@@ -247,19 +252,24 @@ def first_step(job: Job) -> FirstStep:
         drift += velocity.half_width[axis] * np.abs(_slope(start.omega, axis, job))
     per_spacing = [width / h for width, h in zip(velocity.half_width, velocity.spacing, strict=True)]
     drift *= sum(per_spacing)
+    growth = _growth(job, start) * sum(per_spacing)
+    drift += growth
+    drag = np.zeros(start.omega.shape)
     haff = job.collision.cooling * start.density * np.sqrt(start.temperature)
     if job.scaling.kind == "none":
         for axis, h in enumerate(velocity.spacing):
-            drift += haff * (velocity.half_width[axis] + np.abs(start.velocity[..., axis])) / h
+            drag += haff * (velocity.half_width[axis] + np.abs(start.velocity[..., axis])) / h
+        drift += drag
     energy = d * start.temperature + (start.velocity**2).sum(-1)
     cooling = float((2 * haff * d * start.temperature / energy).max())
     fluid = _fluid_rate(job, start)
 
     limits = {"time.end: nothing else limits the step": job.time.end}
-    if job.time.dt is not None:
+    if job.time.cfl is None:
+        assert job.time.dt is not None
         limits = {"time.dt": job.time.dt}
+        later = job.time.dt
     else:
-        assert job.time.cfl is not None
         rate = float((transport + drift).max())
         worst = np.unravel_index(np.argmax(transport + drift), drift.shape)
         mostly = "transport in space" if transport[worst] >= drift[worst] else "drift in velocity"
@@ -267,8 +277,49 @@ def first_step(job: Job) -> FirstStep:
         limits["cooling (a tenth of the energy a step)"] = 0.1 / cooling if cooling > 0 else inf
         if job.fluid.enabled:
             limits["the fluid system's waves"] = 0.5 / fluid if fluid > 0 else inf
+        lasting = float((transport + drag).max())
+        later = min(job.time.cfl / lasting if lasting > 0 else inf, *list(limits.values())[2:], job.time.end)
     limit = min(limits, key=limits.__getitem__)
-    return FirstStep(limits[limit], limit, float(transport.max()), float(drift.max()), cooling)
+    return FirstStep(
+        dt=limits[limit],
+        limit=limit,
+        transport_rate=float(transport.max()),
+        drift_rate=float(drift.max()),
+        growth_rate=float(growth.max()),
+        cooling_rate=cooling,
+        later=later,
+    )
+
+
+def _growth(job: Job, start: StartFields) -> np.ndarray:
+    """|d omega/dt| / omega by what streams between cells, where omega follows the kinetic moments.
+
+    Through a face each Maxwellian at rest sends the mass rho sqrt(T / 2 pi) and (d + 1)/2 T of energy with
+    each unit of it, more than the d/2 T of the gas it joins: a nearly empty cell beside a full one is heated
+    at once.
+    """
+    growth = np.zeros(start.omega.shape)
+    if job.scaling.kind != "kinetic":
+        return growth
+    d = job.velocity.dimensions
+    mass = start.density * np.sqrt(start.temperature / (2 * pi))
+    energy = mass * start.temperature * (d + 1) / 2
+    for axis, h in enumerate(job.space.spacing):
+        mass_in, energy_in = (_neighbours(flux, axis, job) - 2 * flux for flux in (mass, energy))
+        held = start.density * start.temperature * d / 2
+        growth += 0.5 * np.abs(energy_in / held - mass_in / start.density) / h
+    return growth
+
+
+def _neighbours(values: np.ndarray, axis: int, job: Job) -> np.ndarray:
+    """Sum of both neighbours along x (0) or y (1); beyond a boundary not periodic the cell itself."""
+    array_axis = 1 - axis
+    below, above = np.roll(values, 1, array_axis), np.roll(values, -1, array_axis)
+    if not job.space.periodic(axis):
+        first = (slice(None),) * array_axis + (0,)
+        last = (slice(None),) * array_axis + (-1,)
+        below[first], above[last] = values[first], values[last]
+    return below + above
 
 
 def _slope(omega: np.ndarray, axis: int, job: Job) -> np.ndarray:
@@ -289,20 +340,23 @@ def _fluid_rate(job: Job, start: StartFields) -> float:
 
 
 def steps(job: Job) -> float:
-    """Number of steps to `time.end`: the first one, where rescaled growing as the gas cools by Haff's law."""
+    """Number of steps to `time.end` at the least: of the length they have once the start has smoothed out.
+
+    Where the grid is rescaled they grow as the gas cools by Haff's law.
+    """
     first, end = first_step(job), job.time.end
-    number = end / first.dt
+    number = end / first.later
     if job.scaling.kind != "none" and job.time.dt is None and not job.collision.elastic:
         start = start_fields(job)
         haff = job.collision.cooling * float((start.density * np.sqrt(start.temperature)).mean())
-        number = log1p(haff * end) / haff / first.dt
+        number = log1p(haff * end) / haff / first.later
     if job.time.max_steps is not None:
         number = min(number, job.time.max_steps)
     return max(1.0, number)
 
 
 def run_seconds(job: Job, ranks: int = 1, seconds_per_cell: float = SECONDS_PER_CELL) -> float:
-    """Wall-clock seconds of a run on so many cores, from the steps and a nominal speed."""
+    """Wall-clock seconds of a run on so many cores at the least, from `steps` and a nominal speed."""
     cells = prod(job.space.cells) * prod(job.velocity.points)
     return steps(job) * STAGES * cells * seconds_per_cell / ranks
 

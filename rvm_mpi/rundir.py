@@ -5,6 +5,7 @@ Only rank 0 changes anything on disk; `check` may be called by every rank before
 
 from __future__ import annotations
 
+import contextlib
 import os
 import platform
 import subprocess
@@ -140,6 +141,7 @@ def provenance(ranks: int) -> dict[str, str]:
     """What produced a run, as attributes of its results: versions, commit, ranks, machine, start time."""
     from rvm_mpi import __version__
 
+    _load_hdf5()
     facts = {
         "version": __version__,
         "git_commit": git_commit(),
@@ -206,6 +208,14 @@ def _petsc() -> str:
     if "petsc4py.PETSc" not in sys.modules:
         return "not loaded"
     return ".".join(map(str, sys.modules["petsc4py.PETSc"].Sys.getVersion()))
+
+
+def _load_hdf5() -> None:
+    """Load h5py as the results do, so that its version is known before they are opened."""
+    from rvm_mpi import results
+
+    with contextlib.suppress(ImportError):
+        results._import_h5py()
 
 
 def _hdf5() -> str:

@@ -124,16 +124,32 @@ def test_states_that_do_not_fit(job, wrong):
 
 
 def test_first_step_of_test_4_is_set_by_transport():
-    first = estimates.first_step(make({"state": "random-density"}))
-    assert first.dt == pytest.approx(0.5 / (2 * 7 * 64))
+    first = estimates.first_step(make({"state": "random-density"}, scaling={"kind": "macroscopic"}))
+    assert first.dt == first.later == pytest.approx(0.5 / (2 * 7 * 64))
     assert "transport" in first.limit
     assert first.drift_rate == 0
+
+
+def test_kinetic_scaling_heats_a_nearly_empty_cell_at_once():
+    """A cell of density rho between full ones: d ln omega/dt = sqrt(T / 2 pi) (1 - rho) / (d rho dx)."""
+    rho, cells = 0.001, 16
+    initial = {"state": "riemann", "position": 1 / 16, "left": {"density": rho, "temperature": 1}}
+    job = make({**initial, "right": {"density": 1, "temperature": 1}}, cells=(cells,), collision=ELASTIC)
+    first = estimates.first_step(job)
+    growth = cells * 2 / sqrt(2 * pi) * ((1 - rho) * 4 / 3 - (1 - rho)) / (2 * rho)
+    assert first.growth_rate == pytest.approx(growth * (12 + 12 + 4), rel=1e-12)
+    assert first.dt == pytest.approx(0.5 / (first.growth_rate + 7 * cells), rel=1e-12)
+    assert "drift" in first.limit
+    assert first.later == pytest.approx(0.5 / (7 * cells))
 
 
 def test_first_step_against_a_loop_over_cells():
     """The definition: dt = cfl / max of sum omega V/dx + sum |a|max/h, a = (xi . grad omega) xi."""
     initial = {"state": "wave", "mode": [1, 1], "temperature_amplitude": 0.9, "velocity": [0.5, 0, 0]}
-    job = make(initial, cells=(12, 10), points=(16, 12, 10), half_width=[7, 6, 5], collision=ELASTIC)
+    job = make(
+        initial, cells=(12, 10), points=(16, 12, 10), half_width=[7, 6, 5], collision=ELASTIC,
+        scaling={"kind": "macroscopic"},
+    )  # fmt: skip
     start = estimates.start_fields(job)
     omega = np.sqrt(start.temperature + 0.25 / 3)
     worst = 0.0

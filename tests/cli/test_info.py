@@ -1,0 +1,72 @@
+"""`rvm info` on directories in every state a run can leave behind: it never fails, it says what is missing."""
+
+import numpy as np
+
+from rvm_mpi import rundir
+from rvm_mpi.cli import main
+from rvm_mpi.job import Job
+from rvm_mpi.results import History
+
+JOB = Job.from_dict(
+    {
+        "title": "a short run",
+        "space": {"cells": [8]},
+        "velocity": {"points": [8]},
+        "collision": {"operator": "none"},
+        "initial": {"state": "uniform"},
+        "time": {"end": 2.0},
+    }
+)
+
+
+def shown(path, capsys):
+    assert main(["info", str(path)]) == 0
+    captured = capsys.readouterr()
+    assert captured.err == ""
+    return dict(line.split(None, 1) for line in captured.out.splitlines())
+
+
+def test_a_run_that_has_only_begun(tmp_path, capsys):
+    rundir.prepare(tmp_path, JOB)
+    lines = shown(tmp_path, capsys)
+    assert lines["job"] == "a short run: uniform, 8 cells, 8 velocities, none, scaling kinetic"
+    assert lines["progress"].startswith("no history")
+    assert lines["snapshots"].startswith("none")
+    assert lines["checkpoints"] == "none"
+
+
+def test_a_run_half_way(tmp_path, capsys):
+    rundir.prepare(tmp_path, JOB)
+    history = History(
+        tmp_path / "history.csv", ["step", "time", "mass_error", "min_g", "max_g", "mean_temperature"]
+    )
+    for step, lowest in ((0, 0.0), (1, -1e-3), (2, 0.0)):
+        row = {"step": step, "time": 0.5 * step, "mass_error": 1e-15 * step, "min_g": lowest, "max_g": 10.0}
+        history.append({**row, "mean_temperature": 1.0 - 0.25 * step})
+    history.close()
+    (tmp_path / "checkpoint-000002.h5").write_bytes(b"")
+    lines = shown(tmp_path, capsys)
+    assert lines["progress"] == "step 2, t = 1 of 2 (50.0 %)"
+    assert "all numbers finite" in lines["health"]
+    assert "mass error 2.0e-15" in lines["health"]
+    assert "smallest g -1.0e-04 of the largest" in lines["health"]
+    assert "mean temperature 1 to 0.5" in lines["health"]
+    assert lines["checkpoints"] == "checkpoint-000002.h5"
+
+
+def test_numbers_that_are_none_are_named(tmp_path, capsys):
+    rundir.prepare(tmp_path, JOB)
+    history = History(tmp_path / "history.csv", ["step", "time", "energy"])
+    history.append({"step": 0, "time": 0.0, "energy": np.nan})
+    history.close()
+    assert "not a number in energy" in shown(tmp_path, capsys)["health"]
+
+
+def test_broken_files_are_named(tmp_path, capsys):
+    (tmp_path / "job.toml").write_text("[space")
+    (tmp_path / "fields.h5").write_bytes(b"not HDF5")
+    (tmp_path / "history.csv").write_text("")
+    lines = shown(tmp_path, capsys)
+    assert "not valid TOML" in lines["job"]
+    assert lines["progress"].startswith("no")
+    assert lines["snapshots"].startswith("none: ")
