@@ -1,4 +1,4 @@
-"""`rvm info` on directories in every state a run can leave behind: it never fails, it says what is missing."""
+"""`rvm info` on whatever a run can leave behind: it never fails, it says what is missing."""
 
 import numpy as np
 
