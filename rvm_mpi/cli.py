@@ -299,5 +299,4 @@ def _info(options: argparse.Namespace) -> int:
 def _bench(options: argparse.Namespace) -> int:
     from rvm_mpi.bench import run_bench
 
-    run_bench(cells=tuple(options.cells), velocity=tuple(options.velocity), json=options.json)
-    return 0
+    return run_bench(cells=tuple(options.cells), velocity=tuple(options.velocity), as_json=options.json)
