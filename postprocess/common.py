@@ -150,15 +150,14 @@ def save(figure: Figure, directory: Path, name: str):
     """Write NAME.png and NAME.pdf into DIR/figures, and print the paths."""
     folder = (directory if directory.is_dir() else directory.parent) / "figures"
     folder.mkdir(exist_ok=True)
-    # lay out and measure once, not once for each file
-    figure.draw_without_rendering()
-    if hasattr(figure, "set_layout_engine"):
-        figure.set_layout_engine("none")
-    else:
-        figure.set_constrained_layout(False)
+    figure.draw_without_rendering()  # lays out and measures once, not once for each file
     box = figure.get_tightbbox(figure.canvas.get_renderer()).padded(0.08)
     for suffix in ("png", "pdf"):
         path = folder / f"{name}.{suffix}"
+        if hasattr(figure, "set_layout_engine"):  # each time: saving switches it on again
+            figure.set_layout_engine("none")
+        else:
+            figure.set_constrained_layout(False)
         figure.savefig(path, bbox_inches=box)
         print(path)
     plt.close(figure)

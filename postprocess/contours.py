@@ -145,6 +145,8 @@ def _colour_bar(figure, drawn, axes, label, below=False):
     where = {"location": "bottom", "aspect": 18, "pad": 0.02} if below else {"aspect": 30, "pad": 0.01}
     bar = figure.colorbar(drawn, ax=axes, shrink=0.95, **where)
     bar.ax.minorticks_off()
+    if bar.solids is not None:
+        bar.solids.set_edgecolor("face")  # no white lines between the bands in PDF viewers
     bar.locator = MaxNLocator(4 if below else 7)
     bar.update_ticks()
     bar.set_label(label)

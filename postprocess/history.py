@@ -2,7 +2,7 @@
 
 Three figures into DIR/figures, as PNG and PDF: history_cooling (mean temperature and energy), history_density
 (variance of the density, and its L1 deviation from the mean with the fitted rate of damping in log t), and
-history_health (mass error, smallest g, size of the correction).
+history_health (errors of mass, momentum and energy, smallest g, size of the correction).
 
     python postprocess/history.py runs/test4_clustering
 """
@@ -89,6 +89,19 @@ def mass_error(history):
     return (history["mass"] - history["mass"][0] - entered) / history["mass"][0]
 
 
+def errors(history):
+    """Relative errors of mass, momentum and energy at each step, as far as the history has them."""
+    found = {"mass": mass_error(history)}
+    for name in ("momentum", "energy"):
+        if _is_there(history, f"{name}_error"):
+            found[name] = history[f"{name}_error"]
+    return found
+
+
+def _is_there(history, name):
+    return name in history and bool(np.isfinite(history[name]).all())
+
+
 def _draw(options):
     directory = options.directory
     run = common.open_run(directory)
@@ -99,7 +112,7 @@ def _draw(options):
         raise common.PlotError(f"{folder}/history.csv has fewer than two time steps yet")
     common.save(_cooling(run, job, history), folder, "history_cooling")
     if run.kinetic_density.ndim > 1:
-        common.save(_density(run), folder, "history_density")
+        common.save(_density(run, history), folder, "history_density")
     common.save(_health(run, history), folder, "history_health")
 
 
@@ -109,7 +122,9 @@ def _cooling(run, job, history):
     granular = cooling > 0
     shown = time > 0 if granular else slice(None)
     left.plot(time[shown], history["mean_temperature"][shown], **common.KINETIC, label="kinetic")
-    if "fluid_density" in run:
+    if _is_there(history, "fluid_mean_temperature"):
+        left.plot(time[shown], history["fluid_mean_temperature"][shown], **common.FLUID, label="fluid")
+    elif "fluid_density" in run:
         temperature = mean_temperature(run, "fluid")
         later = run.time.values > 0 if granular else slice(None)
         left.plot(run.time.values[later], temperature[later], "s", color="tab:orange", ms=4, label="fluid")
@@ -122,7 +137,7 @@ def _cooling(run, job, history):
     left.set_ylabel(r"mean temperature $\langle \rho T \rangle / \langle \rho \rangle$")
     start = history["energy"][0]
     right.plot(time[shown], history["energy"][shown] / start, **common.KINETIC, label="kinetic")
-    if "fluid_energy" in history and np.isfinite(history["fluid_energy"]).all():
+    if _is_there(history, "fluid_energy"):
         right.plot(time[shown], history["fluid_energy"][shown] / start, **common.FLUID, label="fluid")
     right.set_ylabel("energy / kinetic energy at the start")
     if granular:
@@ -135,7 +150,7 @@ def _cooling(run, job, history):
     return figure
 
 
-def _density(run):
+def _density(run, history):
     figure, (left, right) = plt.subplots(1, 2, figsize=(8.6, 3.6))
     time = run.time.values
     later = time[time > 0]
@@ -143,7 +158,14 @@ def _density(run):
     shown = time > 0 if wide else slice(None)
     for model in common.models(run):
         style = {**(common.KINETIC if model == "kinetic" else common.FLUID), "marker": "o", "ms": 3}
-        left.plot(time[shown], variance(run, model)[shown], **style, label=model)
+        column = "density_variance" if model == "kinetic" else "fluid_density_variance"
+        if _is_there(history, column):  # at every step, with the snapshots as points
+            steps = history["time"] >= (later[0] if wide else 0)
+            line = {**style, "marker": ""}
+            left.plot(history["time"][steps], history[column][steps], **line, label=model)
+            left.plot(time[shown], variance(run, model)[shown], "o", ms=3, color=style["color"])
+        else:
+            left.plot(time[shown], variance(run, model)[shown], **style, label=model)
         values = deviation(run, model)
         fit = damping_rate(time, values)
         label = model
@@ -171,8 +193,12 @@ def _health(run, history):
     corrections = [name for name in history if name.startswith("correction")]
     figure, axes = plt.subplots(1, 2 + bool(corrections), figsize=(8.6 + 3 * bool(corrections), 3.4))
     time = history["time"]
-    axes[0].plot(time, mass_error(history), lw=1)
-    axes[0].set_ylabel("relative mass error")
+    for name, values in errors(history).items():
+        size = np.abs(values)
+        axes[0].plot(time, np.where(size > 0, size, np.nan), lw=1, label=name)
+    axes[0].set_ylabel("relative error")
+    axes[0].set_yscale("log")
+    axes[0].legend()
     axes[1].plot(time, history["min_g"] / history["max_g"].max(), lw=1)
     axes[1].set_ylabel("smallest $g$ / largest $g$ of the run")
     if corrections:

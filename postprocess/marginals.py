@@ -104,12 +104,12 @@ def _maps(run, chosen):
         for axis, velocity, values, scale in zip(
             axes[row], (xi, v), (marginal[index], f1[row]), scales, strict=True
         ):
-            shown = np.where(values > 0, values, np.nan) if "norm" in scale else values
-            maps.append(axis.pcolormesh(x, velocity, shown.T, shading="nearest", rasterized=True, **scale))
+            if "norm" in scale:
+                values = np.maximum(values, scale["norm"].vmin)
+            maps.append(axis.pcolormesh(x, velocity, values.T, shading="nearest", rasterized=True, **scale))
             axis.set_title(common.time_label(float(run.time[index])))
         axes[row, 0].set_ylabel(r"$\xi_x$")
         axes[row, 1].set_ylabel("$v_x$")
-        axes[row, 1].set_facecolor(plt.get_cmap()(0.0))
     for axis in axes[-1]:
         axis.set_xlabel("$x$")
     figure.colorbar(

@@ -346,6 +346,13 @@ def test_means_over_the_domain(tmp_path):
         assert history.deviation(run, "kinetic")[index] == pytest.approx(np.abs(rho - 1).mean())
 
 
+def test_errors_of_what_is_conserved():
+    columns = {"mass": np.array([2.0, 2.1]), "energy_error": np.array([0.0, 0.3])}
+    found = history.errors({**columns, "momentum_error": np.full(2, np.nan)})
+    assert list(found) == ["mass", "energy"]
+    assert found["mass"] == pytest.approx([0, 0.05])
+
+
 def test_mass_error_leaves_out_what_entered():
     columns = {
         "mass": np.array([2.0, 3.0, 5.0 + 2e-6]),
