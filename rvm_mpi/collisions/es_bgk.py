@@ -107,11 +107,41 @@ def fit_axis(nodes, count, mean, variance, result):  # type: ignore[no-untyped-d
 
 
 @njit(**KERNEL)
-def gaussian_sums(theta, centre, points_x, slab_size, x, slab, block, sums, plane, vectors):  # type: ignore[no-untyped-def]
-    """block = exp(theta . m(xi - centre)), m = 1, x, y, z, xx, xy, xz, yy, yz, zz, and its sums to fourth order.
+def gaussian_moments(theta, centre, points_x, slab_size, x, slab, block, moments):  # type: ignore[no-untyped-def]
+    """block = exp(theta . m(xi - centre)), m = 1, x, y, z, xx, xy, xz, yy, yz, zz, and its sums of those ten.
 
-    `sums` (5, 15) receives the sum of x^p y^q z^r at [p, place of (q, r)]; `plane` (75, 8) and `vectors`
-    (15, 8) are work space. The exponent is kept within the range of doubles.
+    The exponent is kept within the range of doubles.
+    """
+    zero = splat(0.0)
+    m0, mx, my, mz = zero, zero, zero, zero
+    xx, xy, xz, yy, yz, zz = zero, zero, zero, zero, zero, zero
+    for n in range(0, slab_size, 8):
+        y = load(slab, Y * slab_size + n) - splat(centre[1])
+        z = load(slab, Z * slab_size + n) - splat(centre[2])
+        valid = load(slab, VALID * slab_size + n)
+        base = splat(theta[0]) + y * (splat(theta[2]) + y * theta[7]) + z * (splat(theta[3]) + z * theta[9] + y * theta[8])
+        tilt = splat(theta[1]) + y * theta[5] + z * theta[6]
+        a0, a1, a2 = zero, zero, zero
+        for k in range(points_x):
+            s = x[k] - centre[0]
+            value = exponential(base + (tilt + splat(theta[4] * s)) * s) * valid
+            store(block, k * slab_size + n, value)
+            t = value * s
+            a0 = a0 + value
+            a1 = a1 + t
+            a2 = a2 + t * s
+        m0, mx, my, mz = m0 + a0, mx + a1, my + a0 * y, mz + a0 * z
+        xx, xy, xz = xx + a2, xy + a1 * y, xz + a1 * z
+        yy, yz, zz = yy + a0 * y * y, yz + a0 * y * z, zz + a0 * z * z
+    moments[0], moments[1], moments[2], moments[3], moments[4] = total(m0), total(mx), total(my), total(mz), total(xx)
+    moments[5], moments[6], moments[7], moments[8], moments[9] = total(xy), total(xz), total(yy), total(yz), total(zz)
+
+
+@njit(**KERNEL)
+def gaussian_sums(centre, points_x, slab_size, x, slab, block, sums, plane):  # type: ignore[no-untyped-def]
+    """Sums to fourth order of the Gaussian that `gaussian_moments` has left in `block`.
+
+    `sums` (5, 15) receives the sum of x^p y^q z^r at [p, place of (q, r)]; `plane` (75, 8) is work space.
     """
     zero = splat(0.0)
     for q in range(75):
@@ -119,14 +149,10 @@ def gaussian_sums(theta, centre, points_x, slab_size, x, slab, block, sums, plan
     for n in range(0, slab_size, 8):
         y = load(slab, Y * slab_size + n) - splat(centre[1])
         z = load(slab, Z * slab_size + n) - splat(centre[2])
-        valid = load(slab, VALID * slab_size + n)
-        base = splat(theta[0]) + y * (splat(theta[2]) + y * theta[7]) + z * (splat(theta[3]) + z * theta[9] + y * theta[8])
-        tilt = splat(theta[1]) + y * theta[5] + z * theta[6]
         a0, a1, a2, a3, a4 = zero, zero, zero, zero, zero
         for k in range(points_x):
             s = x[k] - centre[0]
-            value = exponential(base + tilt * s + splat(theta[4] * s * s)) * valid
-            store(block, k * slab_size + n, value)
+            value = load(block, k * slab_size + n)
             t = value * s
             a0 = a0 + value
             a1 = a1 + t
@@ -135,9 +161,7 @@ def gaussian_sums(theta, centre, points_x, slab_size, x, slab, block, sums, plan
             t = t * s
             a3 = a3 + t
             a4 = a4 + t * s
-        one = splat(1.0)
-        y2, z2 = y * y, z * z
-        w = one
+        w = splat(1.0)
         for p in range(5):
             t = w
             for q in range(5 - p):
@@ -298,20 +322,19 @@ def discrete_gaussian(density, mean, tensor, dimensions, points, slab_size, x, s
     previous = math.inf
     damping = 1.0
     for attempt in range(NEWTON_STEPS):
-        gaussian_sums(theta, mean, points[0], slab_size, x, slab, block, sums, plane, vectors)
+        gaussian_moments(theta, mean, points[0], slab_size, x, slab, block, moments)
         mismatch = 0.0
         for i in range(10):
-            step[i] = wanted[i] - sums[_PRODUCT[0, i]]
+            step[i] = wanted[i] - moments[i]
             mismatch = max(mismatch, abs(step[i]) / scale[i])
         if not mismatch < 1e200:
             return FAILED
         if mismatch <= TOLERANCE or (mismatch <= ACCEPTED and mismatch >= 0.5 * previous):
-            for i in range(10):
-                moments[i] = sums[_PRODUCT[0, i]]
             about_origin(moments, mean)
             return status
         damping = 0.5 * damping if mismatch > previous else min(1.0, 2.0 * damping)
         previous = mismatch
+        gaussian_sums(mean, points[0], slab_size, x, slab, block, sums, plane)
         for i in range(10):
             for j in range(i + 1):
                 matrix[i, j] = sums[_PRODUCT[i, j]]
