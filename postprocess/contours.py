@@ -153,14 +153,11 @@ def _colour_bar(figure, drawn, axes, label, below=False):
 
 
 def _hint(quantity, fields, shared):
-    """Say so if the shared limits leave some time in hardly more than one colour."""
-    width = shared[1] - shared[0]
-    columns = np.stack([values.reshape(len(values), -1) for values in fields.values()], axis=1)
-    spread = columns.max(axis=(1, 2)) - columns.min(axis=(1, 2))
-    if len(spread) > 1 and spread.max() > 0 and spread[-1] < 0.1 * width:
-        print(
-            f"# {quantity}: the last time spans {spread[-1] / width:.0%} of the colours; see --scale per-time"
-        )
+    """Say so if the shared limits leave the last time in hardly more than one colour."""
+    for model, values in fields.items():
+        part = np.ptp(values[-1]) / (shared[1] - shared[0])
+        if len(values) > 1 and np.ptp(values) > 0 and part < 0.1:
+            print(f"# {quantity}, {model}: the last time has {part:.1%} of the colours; see --scale per-time")
 
 
 if __name__ == "__main__":

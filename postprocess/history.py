@@ -145,6 +145,8 @@ def _cooling(run, job, history):
         right.set_yscale("log")
     for axis in (left, right):
         axis.set_xlabel("$t$")
+        if granular:
+            axis.set_xlim(max(time[1], 1e-3 * time[-1]), 1.2 * time[-1])
         axis.legend()
     figure.suptitle(common.title_of(run))
     return figure

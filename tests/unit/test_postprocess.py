@@ -210,6 +210,16 @@ def test_per_time_scale_shares_limits_within_a_column_only(tmp_path, drawn):
     assert {call.levels[0] for call in drawn} == {kinetic[0].min(), kinetic[3].min()}
 
 
+def test_a_row_in_one_colour_is_pointed_out(tmp_path, capsys):
+    run = common.open_run(make_run(tmp_path / "run"))
+    contours._by_time(run, "density", "rho", [0, 3], "shared")
+    assert capsys.readouterr().out == ""
+    run.kinetic_density.values[3] = 1.0 + 0.001 * run.kinetic_density.values[3]
+    contours._by_time(run, "density", "rho", [0, 3], "shared")
+    (line,) = capsys.readouterr().out.splitlines()
+    assert line.startswith("# density, kinetic: the last time has 0.0%")
+
+
 def test_contours_fill_the_domain(tmp_path, drawn):
     run = common.open_run(make_run(tmp_path / "run"))
     contours._by_time(run, "density", "rho", [0], "shared")
