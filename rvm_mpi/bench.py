@@ -106,7 +106,11 @@ def measure(cells: tuple[int, ...], velocity: tuple[int, ...]) -> tuple[BenchRes
     simulation.advance()
     _triad(*arrays, 2.0)
     _multiply_add(10, 0.5, sink)
-    triads, stages, steps, flops = [], [], [], []
+    rounds = 2_000_000
+    triads: list[float] = []
+    stages: list[float] = []
+    steps: list[float] = []
+    flops: list[float] = []
     for _ in range(ROUNDS):
         triad = _timed(domain.comm, lambda: _triad(*arrays, 2.0)) / TRIAD_SIZE
         dt = 0.9 * simulation.last_dt
@@ -117,7 +121,6 @@ def measure(cells: tuple[int, ...], velocity: tuple[int, ...]) -> tuple[BenchRes
 
         stage = _timed(domain.comm, both_stages) / (STAGES * own)
         step = _timed(domain.comm, simulation.advance) / (STAGES * own)
-        rounds = 2_000_000
         flop = 128.0 * rounds / _timed(domain.comm, lambda: _multiply_add(rounds, 0.5, sink))
         for series, value in ((triads, triad), (stages, stage), (steps, step), (flops, flop)):
             series.append(value)

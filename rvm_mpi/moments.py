@@ -23,7 +23,18 @@ def _central_third(g, space, grid, sums, powers, ones_x, ones_slab, result):  # 
             for q in range(3):
                 centre[q] = sums[j, i, 1 + q] / sums[j, i, 0]
             block = g[cell : cell + grid.block]
-            weighted_sums(block, centre, grid.points[0], grid.slab_size, grid.x, grid.slab, ones_x, ones_slab, powers, out)
+            weighted_sums(
+                block,
+                centre,
+                grid.points[0],
+                grid.slab_size,
+                grid.x,
+                grid.slab,
+                ones_x,
+                ones_slab,
+                powers,
+                out,
+            )
             for q in range(3):
                 result[j, i, q] = out[10 + q]
 
@@ -38,7 +49,18 @@ def all_sums(g, space, grid, powers, ones_x, ones_slab, result):  # type: ignore
         for i in range(space.nx):
             cell = (j + space.wy) * row + (i + space.wx) * grid.block
             block = g[cell : cell + grid.block]
-            weighted_sums(block, centre, grid.points[0], grid.slab_size, grid.x, grid.slab, ones_x, ones_slab, powers, out)
+            weighted_sums(
+                block,
+                centre,
+                grid.points[0],
+                grid.slab_size,
+                grid.x,
+                grid.slab,
+                ones_x,
+                ones_slab,
+                powers,
+                out,
+            )
             for q in range(10):
                 result[j, i, q] = out[q]
 
@@ -59,7 +81,9 @@ def tensor_from_sums(sums: np.ndarray, d: int) -> tuple[np.ndarray, np.ndarray, 
     return density, mean, tensor
 
 
-def fields(g: np.ndarray, omega: np.ndarray, sums: np.ndarray, space: Any, grid: Any) -> dict[str, np.ndarray]:
+def fields(
+    g: np.ndarray, omega: np.ndarray, sums: np.ndarray, space: Any, grid: Any
+) -> dict[str, np.ndarray]:
     """Density, velocity, temperature, stress tensor and heat flux of f on the cells of a rank.
 
     Parameters

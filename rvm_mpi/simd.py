@@ -13,7 +13,8 @@ from __future__ import annotations
 
 import math
 import operator
-from typing import Any, Callable
+from collections.abc import Callable
+from typing import Any
 
 from llvmlite import ir
 from numba import njit
@@ -23,7 +24,12 @@ from numba.np.arrayobj import make_array
 
 LANES = 8
 #: options shared by every kernel of the package
-KERNEL: dict[str, Any] = {"cache": True, "error_model": "numpy", "fastmath": {"contract", "nsz"}, "nogil": True}
+KERNEL: dict[str, Any] = {
+    "cache": True,
+    "error_model": "numpy",
+    "fastmath": {"contract", "nsz"},
+    "nogil": True,
+}
 
 _DOUBLE = ir.DoubleType()
 _VECTOR = ir.VectorType(_DOUBLE, LANES)
@@ -216,6 +222,17 @@ def van_leer3(a1, b1, a2, b2, a3, b3):  # type: ignore[no-untyped-def]
     inverse = _reciprocal(d12 * d3)
     rest = d3 * inverse
     return (n1 * d2) * rest, (n2 * d1) * rest, n3 * (d12 * inverse)
+
+
+@intrinsic
+def shifted(typingctx, previous, vector):  # type: ignore[no-untyped-def]
+    """The lanes of `vector` moved up by one, the last of `previous` first."""
+
+    def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
+        lanes = ir.Constant(_LANE_INDEX, list(range(LANES - 1, 2 * LANES - 1)))
+        return builder.shuffle_vector(args[0], args[1], lanes)
+
+    return vector8(vector8, vector8), codegen
 
 
 @intrinsic

@@ -19,7 +19,7 @@ from rvm_mpi.kinetic import drift
 from rvm_mpi.kinetic.conservation import SUMS, correct, weighted_sums
 from rvm_mpi.kinetic.transport import face_flux, upper_fluxes
 from rvm_mpi.simd import KERNEL, load, maximum, minimum, splat, store
-from rvm_mpi.velocity import VALID, Y, Z, VelocityGrid
+from rvm_mpi.velocity import VALID, VelocityGrid, Y
 
 #: columns of the diagnostics a stage leaves of each cell
 SMALLEST, LARGEST, MISMATCH, GAUSSIANS_REPLACED, RATE, DISSIPATED, COOLING_RATE, STATUS = range(8)
@@ -74,8 +74,8 @@ class Model(NamedTuple):
 class Cells(NamedTuple):
     """Fields of the cells at one time level: what a stage reads, and what it writes of the next.
 
-    omega has one ghost cell in each direction in use; carried (ny, nx, 5) are rho, rho u, E of f; sums (ny, nx, 10) those
-    of 1, xi, xi xi over g's nodes.
+    omega has one ghost cell in each direction in use; carried (ny, nx, 5) are rho, rho u, E of f; sums
+    (ny, nx, 10) those of 1, xi, xi xi over g's nodes.
     """
 
     omega: np.ndarray
@@ -125,16 +125,23 @@ class Work(NamedTuple):
         row = grid.slab_size + 2 * (grid.points[2] + 8)
         nvx = grid.points[0]
         return cls(
-            aligned((grid.block,)),
-            aligned((grid.block * nx,)),
-            *(aligned((grid.block,)) for _ in range(2)),
-            aligned((drift.SCRATCH_ROWS * row + 8,)),
-            np.zeros((nx, 5)),
-            np.zeros(9),
-            np.zeros(16),
-            np.zeros((14, SUMS)),
-            (np.ones(nvx), aligned((grid.slab_size,)), np.zeros(5 * nvx), np.zeros((5, 5)), np.zeros((3, 5))),
-            (np.zeros(10), np.zeros(75), np.zeros(600), np.zeros((10, 10)), np.zeros((5, 10))),
+            west=aligned((grid.block,)),
+            south=aligned((grid.block * nx,)),
+            result=aligned((grid.block,)),
+            gaussian=aligned((grid.block,)),
+            scratch=aligned((drift.SCRATCH_ROWS * row + 8,)),
+            south_moments=np.zeros((nx, 5)),
+            rates=np.zeros(9),
+            extremes=np.zeros(16),
+            vectors=np.zeros((14, SUMS)),
+            correction=(
+                np.ones(nvx),
+                aligned((grid.slab_size,)),
+                np.zeros(5 * nvx),
+                np.zeros((5, 5)),
+                np.zeros((3, 5)),
+            ),
+            fit=(np.zeros(10), np.zeros(75), np.zeros(600), np.zeros((10, 10)), np.zeros((5, 10))),
         )
 
 
@@ -162,7 +169,7 @@ def through(moments, omega, weight, flux):  # type: ignore[no-untyped-def]
 
 @njit(**KERNEL)
 def blend(nu, d, first, sums, wanted, temperature, weight_first, weight_last, whole, centre, tensor):  # type: ignore[no-untyped-def]
-    """Mean and temperature tensor of weight_first G[g^n] + weight_last G[result], one Gaussian for both; returns its sum.
+    """Mean and temperature tensor of weight_first G[g^n] + weight_last G[result], as one Gaussian; returns its sum.
 
     The result's own stress follows from the stage's implicit equation in closed form:
     (whole - weight_last nu) rho Theta = second moments of the explicit part and of the first Gaussian
@@ -228,7 +235,22 @@ def mix(block, factor_x, factor_slab, own, gaussian, share, points_x, slab_size,
 
 @njit(**KERNEL)
 def sweep(  # type: ignore[no-untyped-def]
-    grid, space, model, second, dt, g, out, start, stage, new, growth, omega_end, depth, diagnostics, sides, work
+    grid,
+    space,
+    model,
+    second,
+    dt,
+    g,
+    out,
+    start,
+    stage,
+    new,
+    growth,
+    omega_end,
+    depth,
+    diagnostics,
+    sides,
+    work,
 ):
     """One stage for all cells of a rank.
 
@@ -253,7 +275,13 @@ def sweep(  # type: ignore[no-untyped-def]
         Receive the rates of mass, momentum and energy through the outermost faces (x lower, x upper, y lower, y upper),
         counted along +x and +y, per area of face times 1/dx or 1/dy.
     """
-    d, points, slab_size, block, weight = grid.dimensions, grid.points, grid.slab_size, grid.block, grid.weight
+    d, points, slab_size, block, weight = (
+        grid.dimensions,
+        grid.points,
+        grid.slab_size,
+        grid.block,
+        grid.weight,
+    )
     points_x = points[0]
     nx, ny, wx, wy = space.nx, space.ny, space.wx, space.wy
     row = (nx + 2 * wx) * block
@@ -282,14 +310,38 @@ def sweep(  # type: ignore[no-untyped-def]
                 omega_e = 0.5 * (here + omega[j + gy, i + 2])
                 if i == 0:
                     speed = omega_w * space.per_dx
-                    face_flux(g, cell - block, block, 0, points_x, slab_size, grid.x, grid.slab, speed, west, 0, west_moments)
+                    face_flux(
+                        g,
+                        cell - block,
+                        block,
+                        0,
+                        points_x,
+                        slab_size,
+                        grid.x,
+                        grid.slab,
+                        speed,
+                        west,
+                        0,
+                        west_moments,
+                    )
             if space.dimensions == 2:
                 omega_s = 0.5 * (omega[j, i + gx] + here)
                 omega_n = 0.5 * (here + omega[j + 2, i + gx])
                 if j == 0:
                     speed = omega_s * space.per_dy
                     face_flux(
-                        g, cell - row, row, 1, points_x, slab_size, grid.x, grid.slab, speed, south, i * block, south_moments[i]
+                        g,
+                        cell - row,
+                        row,
+                        1,
+                        points_x,
+                        slab_size,
+                        grid.x,
+                        grid.slab,
+                        speed,
+                        south,
+                        i * block,
+                        south_moments[i],
                     )
             speeds = (omega_e * space.per_dx, omega_n * space.per_dy)
             upper_fluxes(
@@ -347,13 +399,17 @@ def sweep(  # type: ignore[no-untyped-def]
                 continue
             temperature = 2.0 * thermal / (d * density)
 
-            # cooling: one rate for drag and scaling, the mean over the step (ahead in the first stage, behind in the second)
+            # cooling: one rate for drag and scaling, the mean over the step (ahead in stage one, behind in stage two)
             beta = 0.0
             if model.cooling > 0.0:
                 frequency = model.cooling * density * math.sqrt(temperature)
                 beta = frequency
                 if dt > 0.0:
-                    beta = -math.log(max(1.0 - frequency * dt, 1e-3)) / dt if second else math.log(1.0 + frequency * dt) / dt
+                    beta = (
+                        -math.log(max(1.0 - frequency * dt, 1e-3)) / dt
+                        if second
+                        else math.log(1.0 + frequency * dt) / dt
+                    )
             if model.kinetic:
                 transported = 0.5 * (rate[4] / energy - rate[0] / density)
                 total_rate = transported + beta * (kinetic_energy / energy)
@@ -434,7 +490,18 @@ def sweep(  # type: ignore[no-untyped-def]
                     store(factor_slab, n, splat(1.0))
                 for q in range(3):
                     target[q] = 0.0
-                weighted_sums(result, target, points_x, slab_size, grid.x, grid.slab, factor_x, factor_slab, work.correction[2], sums)
+                weighted_sums(
+                    result,
+                    target,
+                    points_x,
+                    slab_size,
+                    grid.x,
+                    grid.slab,
+                    factor_x,
+                    factor_slab,
+                    work.correction[2],
+                    sums,
+                )
                 before = cooled(thermal, density, d, model.cooling, -dt if second else dt)
                 dissipated = 0.5 * abs(thermal - before)
             for q in range(4):
@@ -477,7 +544,17 @@ def sweep(  # type: ignore[no-untyped-def]
             replaced = 0.0
             if model.collisions and share > 0.0:
                 density_blend = blend(
-                    model.nu, d, first, sums, wanted, temperature_new, weight_first, weight_last, whole, centre, tensor
+                    model.nu,
+                    d,
+                    first,
+                    sums,
+                    wanted,
+                    temperature_new,
+                    weight_first,
+                    weight_last,
+                    whole,
+                    centre,
+                    tensor,
                 )
                 answer = discrete_gaussian(
                     density_blend,

@@ -3,14 +3,15 @@
     g* = relax(g^n + dt L(g^n)),   g^(n+1) = relax(1/2 g^n + 1/2 (g* + dt L(g*)))
 
 with L the transport and the total drift, and an implicit relaxation to the discrete Gaussian (`stage.py`,
-docs/method.md). The scaling is given from outside ("none", "macroscopic") or follows from the carried moments ("kinetic").
+docs/method.md). The scaling is given from outside ("none", "macroscopic") or follows from the carried
+moments ("kinetic").
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numba import njit
@@ -58,7 +59,7 @@ class StepReport:
     dissipated : (ny, nx) array
         Energy per volume that collisions took during the step.
     entered : dict of side -> (n, 5) array
-        Mass, momentum and energy per area (times 1/h of its direction) that entered through each face of a physical side.
+        Mass, momentum and energy per area (times 1/h of its direction) that entered through each face of a side.
     """
 
     smallest: float
@@ -175,7 +176,15 @@ class KineticStepper:
                 packed[..., place] = tensor[..., a, b] / omega**2
         status = np.zeros(density.shape, dtype=np.int64)
         _fill_gaussians(
-            self.g.reshape(-1), self.space, grid, density / grid.weight, mean, packed, self.work.fit, self.work.gaussian, status
+            self.g.reshape(-1),
+            self.space,
+            grid,
+            density / grid.weight,
+            mean,
+            packed,
+            self.work.fit,
+            self.work.gaussian,
+            status,
         )
         worst = int(self.domain.maximum(float(status.max()))[0])
         if worst > EXACT:
@@ -191,21 +200,29 @@ class KineticStepper:
         half = max(self.job.velocity.half_width)
         spacing = ", ".join(f"{h:.3g}" for h in self.velocity_grid.spacing[: self.grid.dimensions])
         raise JobError(
-            f"{self.job.name}: velocity: the initial state does not fit the velocity grid (half width {half:g}, spacing "
-            f"{spacing}): a Gaussian with its mean and temperature in some cell is {what}; take more points or another half_width"
+            f"{self.job.name}: velocity: the initial state does not fit the velocity grid (half width {half:g}, "
+            f"spacing {spacing}): a Gaussian with its mean and temperature in some cell is {what}; "
+            "take more points or another half_width"
         )
 
     def refresh_sums(self) -> None:
         """Measure the sums of g over the nodes."""
         n = self.grid.points[0]
         all_sums(
-            self.g.reshape(-1), self.space, self.grid, np.zeros(5 * n), np.ones(n), np.ones(self.grid.slab_size), self.now.sums
+            self.g.reshape(-1),
+            self.space,
+            self.grid,
+            np.zeros(5 * n),
+            np.ones(n),
+            np.ones(self.grid.slab_size),
+            self.now.sums,
         )
 
     def _side_states(self, name: str, density: np.ndarray, velocity: np.ndarray, tensor: np.ndarray) -> np.ndarray:
         """rho, u, T of the wall or the far gas along a side: what the job says, else the initial state there."""
         d = self.grid.dimensions
-        edge = {"x-lower": np.s_[:, 0], "x-upper": np.s_[:, -1], "y-lower": np.s_[0, :], "y-upper": np.s_[-1, :]}[name]
+        place = 0 if name.endswith("lower") else -1
+        edge: Any = np.s_[:, place] if name[0] == "x" else np.s_[place, :]
         boundary = self.job.space.sides[name]
         states = np.zeros((density[edge].size, 5))
         states[:, 0] = density[edge]
@@ -246,7 +263,18 @@ class KineticStepper:
                 kind = KINDS["specular"]
             sign = 1 if lower else -1
             fill_side(
-                g.reshape(-1), inner, along[name[0]], inward, omega.size, axis, sign, kind, accommodation, states, omega.copy(), self.grid
+                g.reshape(-1),
+                inner,
+                along[name[0]],
+                inward,
+                omega.size,
+                axis,
+                sign,
+                kind,
+                accommodation,
+                states,
+                omega.copy(),
+                self.grid,
             )
 
     def set_scaling(self, omega_end: np.ndarray, dt: float) -> None:
@@ -298,8 +326,10 @@ class KineticStepper:
 
     @property
     def through(self) -> dict[str, np.ndarray]:
-        """Mean rates of mass, momentum and energy of the last step through this rank's faces of physical sides, per area,
-        counted along +x and +y: arrays (n, 5)."""
+        """Mean rates of mass, momentum and energy of the last step through this rank's faces of physical sides.
+
+        Per area, counted along +x and +y: arrays (n, 5).
+        """
         spacing = {"x": self.domain.spacing[0], "y": self.domain.spacing[1]}
         return {
             name: self._through[SIDES.index(name)] * spacing[name[0]] for name in SIDES if self.domain.on_side(name)
@@ -350,7 +380,7 @@ class KineticStepper:
         return fields(self.g, self.omega, self.now.sums, self.space, self.grid)
 
     def macroscopic(self) -> tuple[np.ndarray, np.ndarray]:
-        """rho, rho u, E (ny, nx, 5) of f, and its temperature (ny, nx): carried where they are, else from the sums of g."""
+        """rho, rho u, E (ny, nx, 5) of f and its temperature (ny, nx): as carried, else from the sums of g."""
         d = self.grid.dimensions
         if self.model.conservative:
             state = self.now.carried
@@ -375,19 +405,23 @@ class KineticStepper:
 def _model(job: Job) -> Model:
     """The job's physics as the numbers the kernels take."""
     collision = job.collision
-    collisions = collision.operator in ("es-bgk", "granular-es-bgk")
-    if not collisions and collision.operator != "none":
-        raise JobError(f'{job.name}: collision.operator: "{collision.operator}" is not in this version of rvm_mpi')
-    law = collision.relaxation
+    if collision.operator == "boltzmann":
+        raise JobError(f'{job.name}: collision.operator: "boltzmann" is not in this version of rvm_mpi')
     kinetic = job.scaling.kind == "kinetic"
+    if kinetic and not job.scheme.conservative:
+        raise JobError(
+            f"{job.name}: scheme.conservative: the kinetic scaling without the correction of g is not in this version"
+        )
+    law, knudsen, prandtl = collision.relaxation, collision.knudsen, collision.prandtl
+    collisions = law is not None and knudsen is not None
     return Model(
         kinetic=kinetic,
-        conservative=kinetic or bool(job.scheme.conservative),
+        conservative=bool(job.scheme.conservative),
         kappa=job.scheme.drift == "kappa",
         collisions=collisions,
-        nu=1.0 - 1.0 / collision.prandtl if collisions and collision.prandtl is not None else 0.0,
-        relaxation=law.coefficient / collision.knudsen if collisions else 0.0,
-        density_power=law.density_power if collisions else 0.0,
-        temperature_power=law.temperature_power if collisions else 0.0,
+        nu=1.0 - 1.0 / prandtl if collisions and prandtl is not None else 0.0,
+        relaxation=law.coefficient / knudsen if law is not None and knudsen is not None else 0.0,
+        density_power=law.density_power if law is not None else 0.0,
+        temperature_power=law.temperature_power if law is not None else 0.0,
         cooling=collision.cooling,
     )

@@ -15,7 +15,7 @@ import numpy as np
 from numba import njit
 
 from rvm_mpi.kinetic.conservation import about_origin, solve
-from rvm_mpi.simd import KERNEL, exponential, load, splat, store, total
+from rvm_mpi.simd import KERNEL, exponential, load, splat, store, total, where_positive
 from rvm_mpi.velocity import VALID, Y, Z
 
 #: relative mismatch of the ten moments at which Newton's iteration rests
@@ -31,7 +31,18 @@ EXACT, REPLACED, TOO_COLD, FAILED = 0, 1, 2, 3
 
 # exponents of (x, y, z) in 1, x, y, z, xx, xy, xz, yy, yz, zz
 _EXPONENTS = np.array(
-    [(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1), (2, 0, 0), (1, 1, 0), (1, 0, 1), (0, 2, 0), (0, 1, 1), (0, 0, 2)],
+    [
+        (0, 0, 0),
+        (1, 0, 0),
+        (0, 1, 0),
+        (0, 0, 1),
+        (2, 0, 0),
+        (1, 1, 0),
+        (1, 0, 1),
+        (0, 2, 0),
+        (0, 1, 1),
+        (0, 0, 2),
+    ],
     dtype=np.int64,
 )
 # the pairs (p, q) of exponents of y and z that occur with the powers 0..4 of x, and where their sums are kept
@@ -43,10 +54,7 @@ for _index, (_p, _q) in enumerate(_PLANE):
 _PLANE_COUNT = len(_PLANE)
 #: place in the (5, 15) table of sums of the product of two of the ten monomials
 _PRODUCT = np.array(
-    [
-        [(a[0] + b[0]) * _PLANE_COUNT + _PLACE[a[1] + b[1], a[2] + b[2]] for b in _EXPONENTS]
-        for a in _EXPONENTS
-    ],
+    [[(a[0] + b[0]) * _PLANE_COUNT + _PLACE[a[1] + b[1], a[2] + b[2]] for b in _EXPONENTS] for a in _EXPONENTS],
     dtype=np.int64,
 )
 
@@ -110,21 +118,48 @@ def fit_axis(nodes, count, mean, variance, result):  # type: ignore[no-untyped-d
 def gaussian_moments(theta, centre, points_x, slab_size, x, slab, block, moments):  # type: ignore[no-untyped-def]
     """block = exp(theta . m(xi - centre)), m = 1, x, y, z, xx, xy, xz, yy, yz, zz, and its sums of those ten.
 
-    The exponent is kept within the range of doubles.
+    Along x the Gaussian is a product: from the node nearest to the centre outwards, one value follows from the one
+    before by a ratio that itself changes by a constant ratio. So a slab costs three exponentials a node, not one
+    for each x.
     """
     zero = splat(0.0)
+    h = x[1] - x[0]
+    middle = min(max(int((centre[0] - x[0]) / h + 0.5), 0), points_x - 1)
+    start = x[middle] - centre[0]
+    curve = math.exp(2.0 * theta[4] * h * h)
     m0, mx, my, mz = zero, zero, zero, zero
     xx, xy, xz, yy, yz, zz = zero, zero, zero, zero, zero, zero
     for n in range(0, slab_size, 8):
         y = load(slab, Y * slab_size + n) - splat(centre[1])
         z = load(slab, Z * slab_size + n) - splat(centre[2])
         valid = load(slab, VALID * slab_size + n)
-        base = splat(theta[0]) + y * (splat(theta[2]) + y * theta[7]) + z * (splat(theta[3]) + z * theta[9] + y * theta[8])
+        base = (
+            splat(theta[0]) + y * (splat(theta[2]) + y * theta[7]) + z * (splat(theta[3]) + z * theta[9] + y * theta[8])
+        )
         tilt = splat(theta[1]) + y * theta[5] + z * theta[6]
-        a0, a1, a2 = zero, zero, zero
-        for k in range(points_x):
+        exponent = base + (tilt + splat(theta[4] * start)) * start
+        # nothing where the start is below the range of doubles: from there the ratios would lead astray
+        first = where_positive(exponent + splat(700.0), exponential(exponent), zero) * valid
+        up = exponential(tilt * h + splat(theta[4] * h * (2.0 * start + h)))
+        down = exponential(tilt * -h - splat(theta[4] * h * (2.0 * start - h)))
+        t = first * start
+        a0, a1, a2 = first, t, t * start
+        store(block, middle * slab_size + n, first)
+        value = first
+        for k in range(middle + 1, points_x):
             s = x[k] - centre[0]
-            value = exponential(base + (tilt + splat(theta[4] * s)) * s) * valid
+            value = value * up
+            up = up * curve
+            store(block, k * slab_size + n, value)
+            t = value * s
+            a0 = a0 + value
+            a1 = a1 + t
+            a2 = a2 + t * s
+        value = first
+        for k in range(middle - 1, -1, -1):
+            s = x[k] - centre[0]
+            value = value * down
+            down = down * curve
             store(block, k * slab_size + n, value)
             t = value * s
             a0 = a0 + value
@@ -214,7 +249,11 @@ def realisable_tensor(density, mean, tensor, dimensions, points, nodes):  # type
         room = tensor[diagonal[i]] - floor
         if room < 0.0:
             tensor[diagonal[i]] = floor
-            shrink = (0.0 if i == 0 else shrink[0], 0.0 if i == 1 else shrink[1], 0.0 if i == 2 else shrink[2])
+            shrink = (
+                0.0 if i == 0 else shrink[0],
+                0.0 if i == 1 else shrink[1],
+                0.0 if i == 2 else shrink[2],
+            )
         else:
             tensor[diagonal[i]] = floor + keep * room
     # no correlation with an axis at its least variance; what the others lose they lose in proportion
@@ -321,7 +360,7 @@ def discrete_gaussian(density, mean, tensor, dimensions, points, slab_size, x, s
     scale[9] = scale[3] * scale[3] / density
     previous = math.inf
     damping = 1.0
-    for attempt in range(NEWTON_STEPS):
+    for _ in range(NEWTON_STEPS):
         gaussian_moments(theta, mean, points[0], slab_size, x, slab, block, moments)
         mismatch = 0.0
         for i in range(10):

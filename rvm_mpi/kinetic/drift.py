@@ -8,11 +8,11 @@ from __future__ import annotations
 
 from numba import njit
 
-from rvm_mpi.simd import KERNEL, load, splat, store, upwind, van_leer3
-from rvm_mpi.velocity import Y, Y_FACE, Y_OPEN, Y_SLOPE, Z_FACE, Z_OPEN, Z_SLOPE
+from rvm_mpi.simd import KERNEL, load, shifted, splat, store, upwind, van_leer3
+from rvm_mpi.velocity import Y_FACE, Y_OPEN, Y_SLOPE, Z_FACE, Z_OPEN, Z_SLOPE, Y
 
 #: doubles of `scratch` needed in rows of a slab: zeros read before and after each row of a slab
-SCRATCH_ROWS = 7
+SCRATCH_ROWS = 6
 
 
 @njit(**KERNEL)
@@ -43,7 +43,7 @@ def update(  # type: ignore[no-untyped-def]
         A, d_x omega, d_y omega, beta u_x, beta u_y, beta u_z, then 1/h of the three velocity directions.
     kappa : bool
         Reconstruct with the unlimited third-order upwind-biased parabola instead of Van Leer's limiter.
-    scratch : (>= 7 (slab_size + 2 guard),) array
+    scratch : (>= 6 (slab_size + 2 guard),) array
         Work space; zeros between its rows.
     result : (block,) array
         The rate of change by transport (`transport.py`); receives the new block.
@@ -52,8 +52,7 @@ def update(  # type: ignore[no-untyped-def]
     guard = points_z + 8
     row = slab_size + 2 * guard
     slope_x, slope_y, slope_z = guard, row + guard, 2 * row + guard
-    through_x, through_y, through_z = 3 * row + guard, 4 * row + guard, 5 * row + guard
-    slope_next = 6 * row + guard
+    through_x, through_y, slope_next = 3 * row + guard, 4 * row + guard, 5 * row + guard
     a, grad_x, grad_y = rates[0], rates[1], rates[2]
     push_x, push_y, push_z = rates[3] * rates[6], rates[4] * rates[7], rates[5] * rates[8]
     per_x, per_y, per_z = rates[6], rates[7], rates[8]
@@ -81,12 +80,17 @@ def update(  # type: ignore[no-untyped-def]
             down_y, up_y = c - load(g, base + n - points_z), load(g, base + n + points_z) - c
             down_z, up_z = c - load(g, base + n - 1), load(g, base + n + 1) - c
             if kappa:
-                bend_x, bend_y, bend_z = (step - ahead) * sixth, (down_y - up_y) * sixth, (down_z - up_z) * sixth
+                bend_x, bend_y, bend_z = (
+                    (step - ahead) * sixth,
+                    (down_y - up_y) * sixth,
+                    (down_z - up_z) * sixth,
+                )
             else:
                 bend_x, bend_y, bend_z = van_leer3(step, ahead, down_y, up_y, down_z, up_z)
             store(scratch, slope_next + n, bend_x * sloped)
             store(scratch, slope_y + n, bend_y * load(slab, Y_SLOPE * slab_size + n))
             store(scratch, slope_z + n, bend_z * load(slab, Z_SLOPE * slab_size + n))
+        before_z = zero
         for n in range(0, slab_size, 8):
             c = load(g, base + n)
             y = load(slab, Y * slab_size + n)
@@ -129,8 +133,8 @@ def update(  # type: ignore[no-untyped-def]
                 else:
                     left, right = c + left, up - right
                 f = upwind(s, left, right)
-                store(scratch, through_z + n, f)
-                r = r + (load(scratch, through_z + n - 1) - f)
+                r = r + (shifted(before_z, f) - f)
+                before_z = f
             r = c + r * dt
             if mix_old:
                 r = r * weight_new + load(old, cell + at + n) * weight_old

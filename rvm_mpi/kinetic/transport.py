@@ -50,12 +50,33 @@ def face_flux(g, lower, stride, axis, points_x, slab_size, x, slab, speed, flux,
             my = my + f * y
             mz = mz + f * z
             m2 = m2 + f * (y * y + z * z + splat(xk * xk))
-    moments[0], moments[1], moments[2], moments[3], moments[4] = total(m0), total(mx), total(my), total(mz), total(m2)
+    moments[0], moments[1], moments[2], moments[3], moments[4] = (
+        total(m0),
+        total(mx),
+        total(my),
+        total(mz),
+        total(m2),
+    )
 
 
 @njit(**KERNEL)
 def upper_fluxes(  # type: ignore[no-untyped-def]
-    g, cell, along_x, along_y, points_x, slab_size, below, x, slab, speeds, west, south, south_at, change, moments_x, moments_y
+    g,
+    cell,
+    along_x,
+    along_y,
+    points_x,
+    slab_size,
+    below,
+    x,
+    slab,
+    speeds,
+    west,
+    south,
+    south_at,
+    change,
+    moments_x,
+    moments_y,
 ):
     """The fluxes through a cell's upper faces, and the rate of change they and the lower ones make.
 
@@ -98,12 +119,18 @@ def upper_fluxes(  # type: ignore[no-untyped-def]
             if n >= below:
                 v, behind, ahead = load(g, base + n), load(g, base - along_y + n), load(g, base + along_y + n)
             elif n + 8 <= below:
-                v, behind, ahead = load(g, base + along_y + n), load(g, base + 2 * along_y + n), load(g, base + n)
+                v, behind, ahead = (
+                    load(g, base + along_y + n),
+                    load(g, base + 2 * along_y + n),
+                    load(g, base + n),
+                )
             else:
                 down, up = load(g, base + n), load(g, base + along_y + n)
                 v, ahead = where_positive(y, down, up), where_positive(y, up, down)
                 behind = where_positive(y, load(g, base - along_y + n), load(g, base + 2 * along_y + n))
-            slope_x, slope_y = van_leer2(u - load(g, behind_x + n), load(g, ahead_x + n) - u, v - behind, ahead - v)
+            slope_x, slope_y = van_leer2(
+                u - load(g, behind_x + n), load(g, ahead_x + n) - u, v - behind, ahead - v
+            )
             f = (u + slope_x) * rate
             h = (v + slope_y) * (y * speeds[1])
             difference = (load(west, at + n) - f) + (load(south, south_at + at + n) - h)
@@ -121,5 +148,17 @@ def upper_fluxes(  # type: ignore[no-untyped-def]
             q2 = q2 + h * square
         m0, mx, my, mz, m2 = m0 + s0, mx + s0 * xk, my + sy, mz + sz, m2 + (s2 + s0 * (xk * xk))
         p0, px, py, pz, p2 = p0 + q0, px + q0 * xk, py + qy, pz + qz, p2 + (q2 + q0 * (xk * xk))
-    moments_x[0], moments_x[1], moments_x[2], moments_x[3], moments_x[4] = total(m0), total(mx), total(my), total(mz), total(m2)
-    moments_y[0], moments_y[1], moments_y[2], moments_y[3], moments_y[4] = total(p0), total(px), total(py), total(pz), total(p2)
+    moments_x[0], moments_x[1], moments_x[2], moments_x[3], moments_x[4] = (
+        total(m0),
+        total(mx),
+        total(my),
+        total(mz),
+        total(m2),
+    )
+    moments_y[0], moments_y[1], moments_y[2], moments_y[3], moments_y[4] = (
+        total(p0),
+        total(px),
+        total(py),
+        total(pz),
+        total(p2),
+    )

@@ -1,8 +1,8 @@
 """Boundary conditions of g: what the two ghost cells beyond a side hold.
 
 Velocities that leave see the extrapolated gas, cut at zero, so that the limiter keeps second order up to the wall;
-velocities that enter see, in both ghost cells, the value g has on the face: reflected, of the wall's or of the far gas's
-Maxwellian, or none. Wall and far states are written in the inner cell's omega: u/omega and T/omega^2. A specular wall
+velocities that enter see, in both ghost cells, the value g has on the face: reflected, of the wall's or of the far
+gas's Maxwellian, or none. Wall and far states are written in the inner cell's omega: u/omega and T/omega^2. A specular wall
 mirrors the gas, which is the same as the mirrored domain beyond it.
 """
 
@@ -16,14 +16,22 @@ from numba import njit
 from rvm_mpi.simd import KERNEL
 
 SPECULAR, MAXWELL, FAR_FIELD, OUTFLOW, VACUUM = range(5)
-KINDS = {"specular": SPECULAR, "maxwell": MAXWELL, "far-field": FAR_FIELD, "outflow": OUTFLOW, "vacuum": VACUUM}
+KINDS = {
+    "specular": SPECULAR,
+    "maxwell": MAXWELL,
+    "far-field": FAR_FIELD,
+    "outflow": OUTFLOW,
+    "vacuum": VACUUM,
+}
 
 
 @njit(**KERNEL)
 def inward_flux(density, normal, temperature):  # type: ignore[no-untyped-def]
     """Mass per area and time that a half-space of Maxwellian gas sends in; `normal` is its inward velocity."""
     s = normal / math.sqrt(2.0 * temperature)
-    return density * (math.sqrt(temperature / (2.0 * math.pi)) * math.exp(-s * s) + 0.5 * normal * (1.0 + math.erf(s)))
+    return density * (
+        math.sqrt(temperature / (2.0 * math.pi)) * math.exp(-s * s) + 0.5 * normal * (1.0 + math.erf(s))
+    )
 
 
 @njit(**KERNEL)
@@ -64,7 +72,9 @@ def fill_side(g, inner, along, inward, count, axis, sign, kind, accommodation, s
         if kind == SPECULAR:
             for k in range(nvx):
                 for j in range(nvy):
-                    mirrored = ((nvx - 1 - k) * size + j * nvz) if axis == 0 else (k * size + (nvy - 1 - j) * nvz)
+                    mirrored = (
+                        ((nvx - 1 - k) * size + j * nvz) if axis == 0 else (k * size + (nvy - 1 - j) * nvz)
+                    )
                     at = k * size + j * nvz
                     for n in range(nvz):
                         g[near + at + n] = g[cell + mirrored + n]
