@@ -204,15 +204,6 @@ def _reciprocal(typingctx, a):  # type: ignore[no-untyped-def]
 
 
 @njit(inline="always")
-def van_leer2(a1, b1, a2, b2):  # type: ignore[no-untyped-def]
-    """Two slopes of `van_leer` for one division; zero where the product of differences is below 1e-180."""
-    n1, d1 = _slope_parts(a1, b1)
-    n2, d2 = _slope_parts(a2, b2)
-    inverse = _reciprocal(d1 * d2)
-    return n1 * (d2 * inverse), n2 * (d1 * inverse)
-
-
-@njit(inline="always")
 def van_leer3(a1, b1, a2, b2, a3, b3):  # type: ignore[no-untyped-def]
     """Three slopes of `van_leer` for one division; zero where the product of differences is below 1e-180."""
     n1, d1 = _slope_parts(a1, b1)

@@ -17,7 +17,7 @@ from numba import njit
 from rvm_mpi.collisions.es_bgk import FAILED, REPLACED, TOO_COLD, discrete_gaussian
 from rvm_mpi.kinetic import drift
 from rvm_mpi.kinetic.conservation import SUMS, correct, weighted_sums
-from rvm_mpi.kinetic.transport import face_flux, upper_fluxes
+from rvm_mpi.kinetic.transport import upper_fluxes
 from rvm_mpi.simd import KERNEL, load, maximum, minimum, splat, store
 from rvm_mpi.velocity import VALID, VelocityGrid, Y
 
@@ -293,75 +293,54 @@ def sweep(  # type: ignore[no-untyped-def]
     west_through, north_through, south_through, east_through = v[3], v[4], v[5], v[6]
     target, sums, m0, wanted, tensor, centre, fitted = v[7], v[8], v[9], v[10], v[11], v[12], v[13]
     factor_x, factor_slab = work.correction[0], work.correction[1]
-    along_x, along_y = (block if space.dimensions >= 1 else 0), (row if space.dimensions == 2 else 0)
     for n in range(0, block, 8):
         store(west, n, splat(0.0))
     for n in range(0, nx * block, 8):
         store(south, n, splat(0.0))
     west_moments[:] = 0.0
     south_moments[:] = 0.0
-    for j in range(ny):
-        for i in range(nx):
+    # ghost cells first, below and left of the others: the sweep needs the fluxes through their upper faces
+    for j in range(0 if space.dimensions < 2 else -1, ny):
+        for i in range(0 if space.dimensions < 1 else -1, nx):
+            if i < 0 and j < 0:
+                continue
             cell = (j + wy) * row + (i + wx) * block
             here = omega[j + gy, i + gx]
             omega_w, omega_e, omega_s, omega_n = here, here, here, here
-            if space.dimensions >= 1:
-                omega_w = 0.5 * (omega[j + gy, i] + here)
+            across_x, across_y = space.dimensions >= 1 and j >= 0, space.dimensions == 2 and i >= 0
+            if across_x:
                 omega_e = 0.5 * (here + omega[j + gy, i + 2])
-                if i == 0:
-                    speed = omega_w * space.per_dx
-                    face_flux(
-                        g,
-                        cell - block,
-                        block,
-                        0,
-                        points_x,
-                        slab_size,
-                        grid.x,
-                        grid.slab,
-                        speed,
-                        west,
-                        0,
-                        west_moments,
-                    )
-            if space.dimensions == 2:
-                omega_s = 0.5 * (omega[j, i + gx] + here)
+            if across_y:
                 omega_n = 0.5 * (here + omega[j + 2, i + gx])
-                if j == 0:
-                    speed = omega_s * space.per_dy
-                    face_flux(
-                        g,
-                        cell - row,
-                        row,
-                        1,
-                        points_x,
-                        slab_size,
-                        grid.x,
-                        grid.slab,
-                        speed,
-                        south,
-                        i * block,
-                        south_moments[i],
-                    )
-            speeds = (omega_e * space.per_dx, omega_n * space.per_dy)
+            speeds = (omega_e * space.per_dx if across_x else 0.0, omega_n * space.per_dy if across_y else 0.0)
             upper_fluxes(
                 g,
                 cell,
-                along_x,
-                along_y,
+                block if across_x else 0,
+                row if across_y else 0,
                 points_x,
                 slab_size,
                 grid.below,
                 grid.x,
                 grid.slab,
                 speeds,
-                west,
-                south,
-                i * block,
+                west if j >= 0 else work.gaussian,
+                south if i >= 0 else work.gaussian,
+                max(i, 0) * block,
                 result,
                 east_moments,
                 north_moments,
             )
+            if j < 0:
+                south_moments[i, :] = north_moments[:5]
+                continue
+            if i < 0:
+                west_moments[:5] = east_moments[:5]
+                continue
+            if across_x:
+                omega_w = 0.5 * (omega[j + gy, i] + here)
+            if across_y:
+                omega_s = 0.5 * (omega[j, i + gx] + here)
             through(west_moments, omega_w, weight, west_through)
             through(east_moments, omega_e, weight, east_through)
             through(south_moments[i], omega_s, weight, south_through)

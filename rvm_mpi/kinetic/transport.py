@@ -9,54 +9,8 @@ from __future__ import annotations
 
 from numba import njit
 
-from rvm_mpi.simd import KERNEL, load, prefetch, splat, store, total, van_leer, van_leer2, where_positive
+from rvm_mpi.simd import KERNEL, load, prefetch, splat, store, total, van_leer, where_positive
 from rvm_mpi.velocity import Y, Z
-
-
-@njit(**KERNEL)
-def face_flux(g, lower, stride, axis, points_x, slab_size, x, slab, speed, flux, at, moments):  # type: ignore[no-untyped-def]
-    """The flux through one face, for the faces at which a sweep begins.
-
-    Parameters
-    ----------
-    g : (n,) array
-        Blocks of cells; `lower` is the offset of the cell below the face, `stride` that to the next one along the axis.
-    axis : int
-        0 for a face normal to x, 1 for y.
-    speed : float
-        omega at the face over the cell's width.
-    flux : array
-        Receives speed * xi_n * g at the face, from the offset `at`.
-    moments : (5,) array
-        Receives the sums of flux times 1, xi_x, xi_y, xi_z, |xi|^2.
-    """
-    zero = splat(0.0)
-    m0, mx, my, mz, m2 = zero, zero, zero, zero, zero
-    for k in range(points_x):
-        xk = x[k]
-        base = lower + k * slab_size
-        for n in range(0, slab_size, 8):
-            y = load(slab, Y * slab_size + n)
-            z = load(slab, Z * slab_size + n)
-            normal = splat(xk) if axis == 0 else y
-            down, up = load(g, base + n), load(g, base + stride + n)
-            here = where_positive(normal, down, up)
-            behind = where_positive(normal, load(g, base - stride + n), load(g, base + 2 * stride + n))
-            ahead = where_positive(normal, up, down)
-            f = (here + van_leer(here - behind, ahead - here)) * (normal * speed)
-            store(flux, at + k * slab_size + n, f)
-            m0 = m0 + f
-            mx = mx + f * xk
-            my = my + f * y
-            mz = mz + f * z
-            m2 = m2 + f * (y * y + z * z + splat(xk * xk))
-    moments[0], moments[1], moments[2], moments[3], moments[4] = (
-        total(m0),
-        total(mx),
-        total(my),
-        total(mz),
-        total(m2),
-    )
 
 
 @njit(**KERNEL)
@@ -94,7 +48,12 @@ def upper_fluxes(  # type: ignore[no-untyped-def]
     change : (block,) array
         Receives what enters minus what leaves.
     moments_x, moments_y : (5,) arrays
-        Receive the moments of the upper fluxes, as in `face_flux`.
+        Receive the sums of the upper fluxes times 1, xi_x, xi_y, xi_z, |xi|^2.
+
+    Notes
+    -----
+    A sweep begins with this function on the ghost cells below its first row and column, so that a face has the same
+    flux to the last bit whichever rank works it out.
     """
     zero = splat(0.0)
     m0, mx, my, mz, m2 = zero, zero, zero, zero, zero
@@ -128,11 +87,9 @@ def upper_fluxes(  # type: ignore[no-untyped-def]
                 down, up = load(g, base + n), load(g, base + along_y + n)
                 v, ahead = where_positive(y, down, up), where_positive(y, up, down)
                 behind = where_positive(y, load(g, base - along_y + n), load(g, base + 2 * along_y + n))
-            slope_x, slope_y = van_leer2(
-                u - load(g, behind_x + n), load(g, ahead_x + n) - u, v - behind, ahead - v
-            )
-            f = (u + slope_x) * rate
-            h = (v + slope_y) * (y * speeds[1])
+            # a division each: the bits of a face's flux must depend on the cells across that face alone
+            f = (u + van_leer(u - load(g, behind_x + n), load(g, ahead_x + n) - u)) * rate
+            h = (v + van_leer(v - behind, ahead - v)) * (y * speeds[1])
             difference = (load(west, at + n) - f) + (load(south, south_at + at + n) - h)
             store(west, at + n, f)
             store(south, south_at + at + n, h)
