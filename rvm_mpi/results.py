@@ -19,6 +19,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from rvm_mpi.job_text import JobError
+
 if TYPE_CHECKING:
     import xarray
     from mpi4py import MPI
@@ -121,6 +123,8 @@ class FieldsFile:
     extra : more datasets by name, such as "wall/x-lower/pressure", with their layout
     xi_x : (points,) velocity nodes of the marginal; cell centres of the velocity box if None
     reopen : go on writing into an existing file of the same layout (restart)
+    resume_after : go on with an existing file, cut back to the job's snapshots up to this time (restart); where
+        the job asks for another number of snapshots the file is laid out anew and those are copied
 
     Raises
     ------
@@ -138,6 +142,7 @@ class FieldsFile:
         extra: Mapping[str, Layout] | None = None,
         xi_x: np.ndarray | None = None,
         reopen: bool = False,
+        resume_after: float | None = None,
     ):
         self.path = Path(path)
         self.comm = comm
@@ -151,15 +156,18 @@ class FieldsFile:
         stored = None
         if comm.rank == 0:
             try:
-                if reopen:
+                root = {**attributes, "title": job.title, "job": job.text}
+                if resume_after is not None:
+                    _resume(self.path, self.layout, _coordinates(job, xi_x), job, root, resume_after)
+                elif reopen:
                     _check_same(self.path, self.layout, job)
                 else:
-                    root = {**attributes, "title": job.title, "job": job.text}
                     _create(self.path, self.layout, _coordinates(job, xi_x), _times(job), root)
                 with _open(self.path, "r") as file:
                     stored = np.isfinite(file["time"][()])
             except Exception as caught:  # whatever it is, the other ranks must hear of it
                 error = caught
+        reopen = reopen or resume_after is not None
         self._agree(error, "be opened for this job" if reopen else "be created")
         self._stored: np.ndarray = comm.bcast(stored)
 
@@ -382,6 +390,64 @@ def _check_same(path: Path, layout: Mapping[str, Layout], job: Job):
             shape = file[name].shape if name in file else None
             if shape != (times, *entry.shape):
                 raise ValueError(f"{name} has shape {shape} in the file, {(times, *entry.shape)} in the job")
+
+
+def check_times(path: Path, job: Job, time: float):
+    """Refuse a restart whose output times up to now are others than those of the run.
+
+    Parameters
+    ----------
+    path : `fields.h5`
+    time : time of the checkpoint; a time that is now to be stored may be new
+
+    Raises
+    ------
+    JobError : naming the time.
+    OSError : the file cannot be read.
+    """
+    with _open(path, "r") as file:
+        stored = file["time"][()]
+    before = set(stored[stored < time].tolist())  # NaN is not below anything
+    wanted = {t for t in job.output.times if t < time}
+    for t in sorted(before ^ wanted):
+        what = "was not stored" if t in wanted else "was stored"
+        raise JobError(
+            f"{job.name}: output.times: t = {t:g} {what} before the checkpoint at t = {time:g}; "
+            "only later output times may change"
+        )
+
+
+def _resume(
+    path: Path,
+    layout: Mapping[str, Layout],
+    coordinates: Mapping[str, np.ndarray],
+    job: Job,
+    root: Mapping[str, Any],
+    time: float,
+):
+    """Keep the job's snapshots up to `time` and no others, in a new file if the layout changed."""
+    with _open(path, "r") as file:
+        stored = file["time"][()].tolist()
+        same = all(
+            name in file and file[name].shape == (_times(job), *entry.shape) for name, entry in layout.items()
+        )
+    kept = {index: stored.index(t) for index, t in enumerate(job.output.times) if t <= time and t in stored}
+    if same and all(index == place for index, place in kept.items()):
+        with _open(path, "r+") as file:
+            for index in range(_times(job)):
+                if index not in kept:
+                    file["time"][index] = np.nan
+        return
+    new = path.with_name(path.name + ".new")
+    _create(new, layout, coordinates, _times(job), root)
+    with _open(path, "r") as old, _open(new, "r+") as file:
+        for index, place in kept.items():
+            for name in (name for name in layout if name in old):
+                file[name][index] = old[name][place]
+            file["time"][index] = stored[place]
+    with new.open("rb") as descriptor:
+        os.fsync(descriptor.fileno())
+    new.replace(path)
 
 
 def open_run(directory: str | Path) -> xarray.Dataset:

@@ -6,6 +6,7 @@ Only rank 0 changes anything on disk; `check` may be called by every rank before
 from __future__ import annotations
 
 import contextlib
+import json
 import os
 import platform
 import subprocess
@@ -13,7 +14,7 @@ import sys
 from datetime import datetime, timezone
 from importlib import metadata
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from rvm_mpi.job_text import JobError
 
@@ -81,17 +82,35 @@ def check_restart(path: Path, job: Job) -> None:
     Raises
     ------
     JobError
-        Naming the first table that differs, or if `job.toml` cannot be read.
+        Naming the keys that differ, or if `job.toml` cannot be read.
     """
     from rvm_mpi.job import Job
 
-    before = Job.from_file(path / "job.toml")
-    for table in Job.model_fields:
-        if table not in MAY_CHANGE and getattr(before, table) != getattr(job, table):
-            raise JobError(
-                f"{path}: cannot restart: [{table}] differs from the run's own job.toml; "
-                "only time and output may change"
-            )
+    differing = differing_keys(Job.from_file(path / "job.toml"), job)
+    if differing:
+        raise JobError(
+            f"{path}: cannot restart as another job: {'; '.join(differing)}; only time, output and title may change"
+        )
+
+
+def differing_keys(before: Job, now: Job) -> list[str]:
+    """What a restart may not change and `now` has otherwise: "space.cells is [16], was [8]" for each such key."""
+    old, new = (_flat(job.model_dump(mode="json", exclude=MAY_CHANGE)) for job in (before, now))
+    keys = dict.fromkeys([*old, *new])
+    return [
+        f"{key} is {_shown(new.get(key))}, was {_shown(old.get(key))}" for key in keys if old.get(key) != new.get(key)
+    ]
+
+
+def _flat(tables: dict[str, Any], prefix: str = "") -> dict[str, Any]:
+    flat: dict[str, Any] = {}
+    for name, value in tables.items():
+        flat.update(_flat(value, f"{prefix}{name}.") if isinstance(value, dict) else {prefix + name: value})
+    return flat
+
+
+def _shown(value: Any) -> str:
+    return "not given" if value is None else json.dumps(value)
 
 
 def prepare(path: Path, job: Job, restart: bool = False, overwrite: bool = False) -> Path | None:

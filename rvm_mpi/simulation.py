@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import math
 import sys
-import time as clock
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,7 +18,9 @@ from typing import Any, TextIO
 
 import numpy as np
 
-from rvm_mpi import rundir
+from rvm_mpi import checkpoint, rundir
+from rvm_mpi.checkpoint import Checkpoint, DiskFailure
+from rvm_mpi.control import Control
 from rvm_mpi.domain import Domain
 from rvm_mpi.exact_sum import exact_sums
 from rvm_mpi.fluid import FluidSystem
@@ -58,6 +59,8 @@ class Simulation:
         broadcast over the cells; by default the job's own state.
     comm : MPI communicator, optional
         All ranks by default.
+    restart : Checkpoint, optional
+        Go on from there; the initial state is then the checkpoint's too.
 
     Attributes
     ----------
@@ -69,15 +72,19 @@ class Simulation:
     Raises
     ------
     JobError
-        On every rank, if the number of ranks or the initial state does not fit.
+        On every rank, if the number of ranks, the initial state or the checkpoint does not fit.
     NumericalFailure
         From iterating: the run cannot go on.
     """
 
-    def __init__(self, job: Job, initial: InitialState | None = None, comm: Any = None) -> None:
+    def __init__(
+        self, job: Job, initial: InitialState | None = None, comm: Any = None, restart: Checkpoint | None = None
+    ) -> None:
         self.job = job
         self.domain = Domain(job, comm)
-        density, velocity, tensor = self._initial_state(initial)
+        if restart is not None:
+            restart.check_job(job)
+        density, velocity, tensor = self._initial = self._initial_state(initial, restart)
         d = job.velocity.dimensions
         temperature = np.trace(tensor, axis1=-2, axis2=-1) / d
         self.kinetic = KineticStepper(job, self.domain, density, velocity, tensor)
@@ -94,12 +101,21 @@ class Simulation:
         self.kinetic.measure_sides()
         self._rate, self._cooling_rate = self.kinetic.rate, self.kinetic.cooling_rate
         self.diagnostics = Diagnostics(self)
+        if restart is not None:
+            restart.fill(self.state(), self.domain)
+            self._set_numbers(restart.numbers)
 
-    def _initial_state(self, initial: InitialState | None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _initial_state(
+        self, initial: InitialState | None, restart: Checkpoint | None
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         (i0, j0), (nx, ny) = self.domain.start, self.domain.local
+        d = self.job.velocity.dimensions
+        if restart is not None:
+            cells = restart.cells(self.domain)
+            density, velocity, tensor = (cells[f"initial_{name}"] for name in ("density", "velocity", "tensor"))
+            return density[..., 0].copy(), velocity.copy(), tensor.reshape(ny, nx, d, d).copy()
         if initial is None:
             return macroscopic_state(self.job, i0, i0 + nx, j0, j0 + ny)
-        d = self.job.velocity.dimensions
         dx, dy = self.domain.spacing
         lower = (*self.job.space.lower, 0.0, 0.0)
         x = lower[0] + (np.arange(i0, i0 + nx) + 0.5)[None, :] * dx
@@ -190,6 +206,31 @@ class Simulation:
                 self.fluid.relax_towards(state[..., [*range(d + 1), 4]], scaling.synchronise, dt)
             self.kinetic.set_scaling(self.fluid.omega(), dt)
 
+    # -- checkpoints ------------------------------------------------------------------------------------------
+
+    def state(self) -> checkpoint.State:
+        """All that the next step depends on; the arrays are views of this simulation's own."""
+        g, cells, sides = self.kinetic.state()
+        if self.fluid is not None:
+            cells["fluid"] = self.fluid.interior
+        # far fields keep the initial state, and diagnostics are relative to it
+        density, velocity, tensor = self._initial
+        cells.update({"initial_density": density, "initial_velocity": velocity, "initial_tensor": tensor})
+        numbers = {
+            "time": self.time,
+            "number": self.number,
+            "last_dt": self.last_dt,
+            "rate": self._rate,
+            "cooling_rate": self._cooling_rate,
+            "diagnostics": self.diagnostics.numbers(),
+        }
+        return checkpoint.State(g, cells, sides, numbers)
+
+    def _set_numbers(self, numbers: dict[str, Any]) -> None:
+        self.time, self.number, self.last_dt = numbers["time"], numbers["number"], numbers["last_dt"]
+        self._rate, self._cooling_rate = numbers["rate"], numbers["cooling_rate"]
+        self.diagnostics.set_numbers(numbers["diagnostics"])
+
     # -- what can be asked of the state ----------------------------------------------------------------
 
     def moments(self) -> dict[str, np.ndarray]:
@@ -257,6 +298,23 @@ class Diagnostics:
     def columns(self) -> list[str]:
         """Names of the columns of `history.csv`."""
         return list(self.row)
+
+    def numbers(self) -> dict[str, Any]:
+        """What has accumulated, and what it is compared with: for a checkpoint."""
+        return {
+            "row": self.row,
+            "first": self._first,
+            "entered": self._entered,
+            "dissipated": self._dissipated,
+            "momentum_scale": self._momentum_scale,
+            "temperature_range": list(self.temperature_range),
+        }
+
+    def set_numbers(self, numbers: dict[str, Any]) -> None:
+        """Go on with what `numbers` returned."""
+        self.row, self._first, self._entered = numbers["row"], numbers["first"], numbers["entered"]
+        self._dissipated, self._momentum_scale = numbers["dissipated"], numbers["momentum_scale"]
+        self.temperature_range = (numbers["temperature_range"][0], numbers["temperature_range"][1])
 
     def update(self, report: StepReport) -> None:
         """Bring the row up to date with a finished step."""
@@ -366,13 +424,23 @@ def run_job(
         On every rank, before anything is written.
     """
     rundir.check(output, restart, overwrite)
-    simulation = Simulation(job)
-    with Run(simulation, output, restart, overwrite, quiet) as run:
-        return run.go(walltime)
+    with Control(output, walltime, job.output.checkpoint_every) as control:
+        simulation, lines = _resumed(job, output) if restart else (Simulation(job), [])
+        with Run(simulation, output, restart, overwrite, quiet) as run:
+            for line in lines:
+                run.say(line)
+            return run.go(control)
+
+
+def _resumed(job: Job, output: Path) -> tuple[Simulation, list[str]]:
+    """The simulation at the newest checkpoint that is whole, and what there is to say about others."""
+    from mpi4py import MPI
+
+    return checkpoint.use_newest(output, MPI.COMM_WORLD, lambda found: Simulation(job, restart=found))
 
 
 class Run:
-    """A simulation with its run directory: snapshots, history, log."""
+    """A simulation with its run directory: snapshots, history, checkpoints, log."""
 
     def __init__(self, simulation: Simulation, output: Path, restart: bool, overwrite: bool, quiet: bool) -> None:
         from rvm_mpi.results import FieldsFile, History, write_xdmf
@@ -383,7 +451,11 @@ class Run:
         self.quiet = quiet
         self.log: TextIO | None = None
         self.history: History | None = None
+        #: step of the last checkpoint
+        self.saved: int | None = sim.number if restart else None
         job = sim.job
+        if restart:
+            self._on_rank_0(self._check_restart)
         aside = self._on_rank_0(lambda: rundir.prepare(output, job, restart, overwrite))
         facts = rundir.provenance(self.comm.size)
         self._on_rank_0(lambda: self._open_log(facts, aside))
@@ -395,10 +467,30 @@ class Run:
             facts,
             self._wall_layout(),
             sim.kinetic.velocity_grid.x,
+            resume_after=sim.time if restart else None,
         )
         self._on_rank_0(lambda: write_xdmf(output / "fields.xdmf", job, list(job.output.times)))
         if self.head:
-            self.history = History(output / "history.csv", sim.diagnostics.columns)
+            columns = sim.diagnostics.columns
+            self.history = History(output / "history.csv", columns, sim.number if restart else None)
+        if restart:
+            self.say(f"restart from step {sim.number}, t = {sim.time:.6g}")
+
+    def _check_restart(self) -> None:
+        """Whether what was written before the checkpoint is there and fits; changes nothing."""
+        from rvm_mpi.results import check_times, read_history
+
+        sim = self.simulation
+        end = sim.job.time.end
+        if end < sim.time:
+            raise JobError(f"{sim.job.name}: time.end = {end:g} lies before the checkpoint at t = {sim.time:g}")
+        try:
+            check_times(self.output / "fields.h5", sim.job, sim.time)
+            history = read_history(self.output)
+        except (OSError, KeyError, IndexError) as error:
+            raise JobError(f"{self.output}: cannot go on with its results: {error}") from None
+        if list(history) != sim.diagnostics.columns or sim.number not in history["step"]:
+            raise JobError(f"{self.output / 'history.csv'}: it is not the history that leads to step {sim.number}")
 
     def __enter__(self) -> Run:
         return self
@@ -460,39 +552,73 @@ class Run:
                 )
         return layout
 
-    def go(self, walltime: float | None = None) -> int:
-        """Step to the end; the exit status."""
+    def go(self, control: Control) -> int:
+        """Step to the end, or to where the run is told to stop; the exit status."""
         from rvm_mpi.progress import Progress
 
         sim = self.simulation
-        begin = clock.perf_counter()
         progress = None
         if self.head:
             stream = None if self.quiet else sys.stderr
-            progress = Progress(sim.job, stream, self.log, self.comm.size)
-            self.record()
-        self.take_snapshot()
-        del walltime, begin
+            progress = Progress(
+                sim.job, stream, self.log, self.comm.size, start_time=sim.time, start_step=sim.number
+            )
+        stopped = ""
         try:
+            if self.saved is None:
+                self.record()
+            self.take_snapshot()
+            control.start(8.0 * math.prod(sim.domain.cells) * sim.kinetic.grid.block)
             for step in sim:
+                self.record()
                 if progress is not None:
-                    self.record()
                     row = sim.diagnostics.row
-                    progress.update(
-                        step.number,
-                        step.time,
-                        step.dt,
-                        row["mass_error"],
-                        row["min_g"],
-                        sim.diagnostics.temperature_range,
-                    )
+                    temperatures = sim.diagnostics.temperature_range
+                    progress.update(step.number, step.time, step.dt, row["mass_error"], row["min_g"], temperatures)
                 self.take_snapshot()
-        except NumericalFailure as error:
-            self.say(f"rvm: {sim.job.name}: {error}")
+                decision = control.agree(sim.domain)
+                if sim.finished:
+                    break
+                if decision.checkpoint:
+                    self.save()
+                    control.took_checkpoint()
+                if decision.stop:
+                    stopped = decision.stop
+                    break
+            if not stopped:
+                self.take_last_snapshot()
+                if self.saved != sim.number:
+                    self.save()
+        except (NumericalFailure, DiskFailure) as error:
+            self.say(f"rvm: {sim.job.name}: {error}{self._last_checkpoint()}")
             return 3
         if progress is not None:
             progress.close()
+        if stopped:
+            if self.head:
+                control.forget_stop_file()
+            self.say(
+                f"rvm: {sim.job.name}: stopped by {stopped} after step {sim.number} at t = {sim.time:.6g}, with a "
+                f"checkpoint; go on with: rvm run {self.output / 'job.toml'} --output {self.output} --restart"
+            )
+            return 75
         return 0
+
+    def _last_checkpoint(self) -> str:
+        return "" if self.saved is None else f"; the checkpoint of step {self.saved} is there for --restart"
+
+    def save(self) -> None:
+        """Write a checkpoint, once all that was written before it is on disk."""
+        sim = self.simulation
+        files = [self.output / "fields.h5", *([self.output / "history.csv"] if self.head else [])]
+        with checkpoint.agreed(sim.domain, self.output):
+            for file in files:
+                checkpoint.flush_to_disk(file)
+        checkpoint.write(sim.state(), sim.domain, sim.job, self.output, sim.number)
+        self.saved = sim.number
+        if self.log is not None:
+            self.log.write(f"checkpoint of step {sim.number}, t = {sim.time:.6g}\n")
+            self.log.flush()
 
     def record(self) -> None:
         """Append the present row to the history (rank 0)."""
@@ -501,14 +627,34 @@ class Run:
 
     def take_snapshot(self) -> None:
         """Write a snapshot if the present time is one of the job's."""
-        sim = self.simulation
-        if sim.time not in sim.job.output.times:
+        times = list(self.simulation.job.output.times)
+        if self.simulation.time in times:
+            self._write_snapshot(times.index(self.simulation.time))
+
+    def take_last_snapshot(self) -> None:
+        """Where `max_steps` ends the run between two output times, write the end in the place of the next.
+
+        A restart that goes on drops it: its time is not one of the job's.
+        """
+        from rvm_mpi.results import write_xdmf
+
+        sim, times = self.simulation, list(self.simulation.job.output.times)
+        later = [index for index, t in enumerate(times) if t > sim.time]
+        if sim.time in times or not later:
             return
-        index = list(sim.job.output.times).index(sim.time)
+        self._write_snapshot(later[0])
+        times[later[0]] = sim.time
+        self._on_rank_0(lambda: write_xdmf(self.output / "fields.xdmf", sim.job, times))
+
+    def _write_snapshot(self, index: int) -> None:
+        sim = self.simulation
         i0, j0 = sim.domain.start
         nx, ny = sim.domain.local
         extra = {}
         for name, values in sim.walls().items():
             first, count = (j0, ny) if "/x-" in name else (i0, nx)
             extra[name] = ((slice(first, first + count),), values)
-        self.fields.write(index, sim.time, sim.snapshot(), extra)
+        try:
+            self.fields.write(index, sim.time, sim.snapshot(), extra)
+        except OSError as error:  # on every rank
+            raise DiskFailure(str(error)) from error

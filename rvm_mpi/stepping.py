@@ -155,6 +155,14 @@ class KineticStepper:
         """omega (ny, nx) on this rank's own cells."""
         return self._interior(self.now.omega)
 
+    def state(self) -> tuple[np.ndarray, dict[str, np.ndarray], dict[str, np.ndarray]]:
+        """What the next step depends on, as views without ghosts: g, fields of the cells, rates through the sides."""
+        wy, wx = self.domain.ghosts(GHOSTS)
+        nx, ny = self.domain.local
+        g = self.g[wy : wy + ny, wx : wx + nx]
+        cells = {"omega": self.omega, "carried": self.now.carried, "sums": self.now.sums}
+        return g, cells, {name: self._through[SIDES.index(name)] for name in self._far}
+
     def _interior(self, array: np.ndarray) -> np.ndarray:
         wy, wx = self.domain.ghosts(1)
         nx, ny = self.domain.local

@@ -100,7 +100,7 @@ def test_restart_may_go_further_and_keeps_the_older_job(old_run):
 def test_restart_as_another_problem_is_refused(old_run):
     before = contents(old_run)
     other = Job.from_file(old_run / "job.toml", ["space.cells=[16]"])
-    with pytest.raises(JobError, match=r"\[space\] differs"):
+    with pytest.raises(JobError, match=r"space\.cells is \[16\], was \[8\]; only time"):
         rundir.prepare(old_run, other, restart=True)
     assert contents(old_run) == before
 
