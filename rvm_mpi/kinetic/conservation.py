@@ -207,7 +207,7 @@ def correct(block, target, dimensions, points_x, slab_size, x, slab, work, sums)
         step[4] = spread - square
         if not solve(matrix, step, 5):
             return -1.0
-        # far from the answer a full Newton step may overshoot: let no factor change by more than e^2 at 3 speeds of sound
+        # far from the answer a full Newton step may overshoot: none changes by more than e^2 at 3 thermal speeds
         reach = (
             abs(step[0])
             + 3.0 * thermal * (abs(step[1]) + abs(step[2]) + abs(step[3]))

@@ -2,8 +2,8 @@
 
 Velocities that leave see the extrapolated gas, cut at zero, so that the limiter keeps second order up to the wall;
 velocities that enter see, in both ghost cells, the value g has on the face: reflected, of the wall's or of the far
-gas's Maxwellian, or none. Wall and far states are written in the inner cell's omega: u/omega and T/omega^2. A specular wall
-mirrors the gas, which is the same as the mirrored domain beyond it.
+gas's Maxwellian, or none. Wall and far states are written in the inner cell's omega: u/omega and T/omega^2. A specular
+wall mirrors the gas, which is the same as the mirrored domain beyond it.
 """
 
 from __future__ import annotations
