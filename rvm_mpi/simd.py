@@ -23,12 +23,15 @@ from numba.extending import intrinsic, models, overload, register_model
 from numba.np.arrayobj import make_array
 
 LANES = 8
-#: options shared by every kernel of the package
+#: options shared by every kernel of the package; forceinline: a kernel brings all it calls with it. A function that
+#: several compiled kernels share would otherwise be taken from the one loaded first, and as each is optimised by itself
+#: the last bits would depend on whether kernels were just compiled or came from the cache
 KERNEL: dict[str, Any] = {
     "cache": True,
     "error_model": "numpy",
     "fastmath": {"contract", "nsz"},
     "nogil": True,
+    "forceinline": True,
 }
 
 _DOUBLE = ir.DoubleType()
