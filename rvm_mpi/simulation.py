@@ -304,7 +304,7 @@ class Diagnostics:
         return {
             "row": self.row,
             "first": self._first,
-            "entered": self._entered,
+            "entered": dict(self._entered),
             "dissipated": self._dissipated,
             "momentum_scale": self._momentum_scale,
             "temperature_range": list(self.temperature_range),
