@@ -1,0 +1,82 @@
+"""Runs the jobs named on the command line, each into DIR/<name>; started under mpirun by `test_ranks.py`."""
+
+import sys
+from pathlib import Path
+
+import tomli_w
+
+from rvm_mpi.cli import main
+
+GRANULAR = {"operator": "granular-es-bgk", "knudsen": 0.1, "restitution": 0.8}
+RANDOM = {"state": "random-density", "seed": 3, "low": 0.1}
+
+JOBS = {
+    "periodic": {
+        "space": {"cells": [14, 13]},
+        "velocity": {"points": [8, 8, 8]},
+        "collision": GRANULAR,
+        "initial": RANDOM,
+        "time": {"end": 0.012},
+        "output": {"times": [0.0, 0.004, 0.012], "marginals": True},
+    },
+    "walls": {
+        "space": {
+            "cells": [13, 12],
+            "boundary": {
+                "x": {
+                    "lower": {"kind": "maxwell", "accommodation": 0.5, "velocity": [0.0, 0.4, 0.1]},
+                    "upper": {"kind": "diffuse", "temperature": 1.3},
+                },
+                "y": {"lower": "specular", "upper": "far-field"},
+            },
+        },
+        "velocity": {"points": [8, 8, 8]},
+        "collision": GRANULAR,
+        "initial": RANDOM,
+        "time": {"end": 0.012},
+        "output": {"times": [0.005, 0.012]},
+    },
+    "paper": {
+        "space": {"cells": [12, 14]},
+        "velocity": {"points": [8, 8, 8]},
+        "scaling": {"kind": "macroscopic"},
+        "scheme": {"conservative": False},
+        "collision": GRANULAR,
+        "initial": RANDOM,
+        "time": {"end": 0.012},
+    },
+    "slab": {
+        "space": {"cells": [23], "boundary": {"x": {"lower": "outflow", "upper": "vacuum"}}},
+        "velocity": {"points": [24]},
+        "collision": {"operator": "es-bgk", "knudsen": 0.1, "relaxation": {"coefficient": 1.0}},
+        "initial": {"state": "temperature-disc", "inner": 1.0, "outer": 4.0, "radius": 0.2},
+        "time": {"end": 0.03},
+        "output": {"times": [0.0, 0.03], "marginals": True},
+    },
+    "drift": {
+        "space": {"cells": [12], "boundary": {"x": "specular"}},
+        "velocity": {"points": [8, 8, 8]},
+        "scheme": {"drift": "kappa"},
+        "collision": GRANULAR,
+        "initial": {"state": "wave", "density_amplitude": 0.3, "temperature_amplitude": 0.2, "mode": [0.5]},
+        "time": {"end": 0.03},
+    },
+}
+
+
+def run(directory: Path, names: list[str]) -> int:
+    """Every rank reads the files that the test wrote."""
+    worst = 0
+    for name in names:
+        job = directory / f"{name}.toml"
+        worst = max(worst, main(["run", str(job), "--output", str(directory / name), "--quiet"]))
+    return worst
+
+
+def write(directory: Path) -> None:
+    for name, job in JOBS.items():
+        (directory / f"{name}.toml").write_text(tomli_w.dumps(job))
+
+
+if __name__ == "__main__":
+    sys.exit(run(Path(sys.argv[1]), sys.argv[2:]))

@@ -1,0 +1,128 @@
+"""The vector of eight doubles: every operation lane by lane against NumPy."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numba import njit
+from numpy_twins import half_slope
+
+from rvm_mpi import simd
+from rvm_mpi.domain import aligned
+
+# compiled anew each time: a cached kernel would not see a change in simd.py
+FRESH = {**simd.KERNEL, "cache": False}
+SETTINGS = settings(max_examples=200, deadline=None)
+ROWS = 24
+
+
+@njit(**FRESH)
+def operate(a, b, c, d, e, f, out, number):
+    """Every operation on the vectors a .. f and a number, one result a row."""
+    va, vb, vc = simd.load(a, 0), simd.load(b, 0), simd.load(c, 0)
+    vd, ve, vf = simd.load(d, 0), simd.load(e, 0), simd.load(f, 0)
+    simd.store(out, 0, va + vb)
+    simd.store(out, 8, va - vb)
+    simd.store(out, 16, va * vb)
+    simd.store(out, 24, va + number)
+    simd.store(out, 32, number - va)
+    simd.store(out, 40, va * number)
+    simd.store(out, 48, simd.minimum(va, vb))
+    simd.store(out, 56, simd.maximum(va, vb))
+    simd.store(out, 64, simd.van_leer(va, vb))
+    simd.store(out, 72, simd.shifted(va, vb))
+    one, two, three = simd.van_leer3(va, vb, vc, vd, ve, vf)
+    simd.store(out, 88, one)
+    simd.store(out, 96, two)
+    simd.store(out, 104, three)
+    simd.store(out, 112, simd.upwind(va, vb, vc))
+    simd.store(out, 120, simd.where_positive(va, vb, vc))
+    simd.store(out, 128, simd.exponential(va))
+    simd.store(out, 136, simd.splat(number))
+    out[144] = simd.total(va)
+    simd.prefetch(a, 0)
+    simd.prefetch(a, 10**6)
+
+
+def results(vectors, number=0.5):
+    out = aligned((ROWS * 8,))
+    operate(*(np.asarray(v, dtype=float) for v in vectors), out, float(number))
+    return out.reshape(ROWS, 8)
+
+
+def sizes(largest):
+    """Numbers of both signs from 10^-largest to 10^largest, and zero."""
+    magnitude = st.floats(-largest, largest).map(lambda p: 10.0**p)
+    return st.one_of(st.just(0.0), magnitude, magnitude.map(lambda x: -x))
+
+
+def vectors(elements, count):
+    return st.lists(st.lists(elements, min_size=8, max_size=8).map(np.array), min_size=count, max_size=count)
+
+
+@SETTINGS
+@given(v=vectors(sizes(30), 6), number=sizes(30))
+def test_arithmetic(v, number):
+    a, b, c = v[:3]
+    out = results(v, number)
+    assert np.array_equal(out[0], a + b)
+    assert np.array_equal(out[1], a - b)
+    assert np.array_equal(out[2], a * b)
+    assert np.array_equal(out[3], a + number)
+    assert np.array_equal(out[4], number - a)
+    assert np.array_equal(out[5], a * number)
+    assert np.array_equal(out[6], np.minimum(a, b))
+    assert np.array_equal(out[7], np.maximum(a, b))
+    assert np.array_equal(out[9], [a[7], *b[:7]])
+    assert np.array_equal(out[14], a * np.where(a > 0, b, c))
+    assert np.array_equal(out[15], np.where(a > 0, b, c))
+    assert np.array_equal(out[17], np.full(8, number))
+    in_order = 0.0
+    for lane in a:
+        in_order += lane
+    assert out[18, 0] == in_order
+
+
+@SETTINGS
+@given(v=vectors(sizes(60), 6))
+def test_limited_slopes(v):
+    out = results(v)
+    wanted = [half_slope(v[2 * i], v[2 * i + 1]) for i in range(3)]
+    # the shared divisions leave out slopes of differences whose product is below 1e-180
+    shared = [np.where(v[2 * i] * v[2 * i + 1] > 1e-180, wanted[i], 0.0) for i in range(3)]
+    np.testing.assert_allclose(out[8], wanted[0], rtol=2e-15)
+    for row, expected in enumerate(shared, start=11):
+        np.testing.assert_allclose(out[row], expected, rtol=2e-15)
+
+
+def test_slopes_of_extremes_and_plateaus_are_zero():
+    zero, up, down = np.zeros(8), np.full(8, 2.0), np.full(8, -3.0)
+    for a, b in ((zero, zero), (zero, up), (up, zero), (up, down), (down, up)):
+        out = results([a, b, a, b, a, b])
+        assert not out[[8, 11, 12, 13]].any()
+
+
+@SETTINGS
+@given(v=vectors(st.floats(-705.0, 705.0), 6))
+def test_exponential(v):
+    wanted = np.array([math.exp(x) for x in v[0]])
+    np.testing.assert_allclose(results(v)[16], wanted, rtol=2e-14)
+
+
+@pytest.mark.parametrize("sample", [np.linspace(-1.0, 1.0, 8000), np.linspace(-708.0, 708.0, 8000)])
+def test_exponential_throughout(sample):
+    rest = [np.ones(8)] * 5
+    out = np.concatenate([results([part, *rest])[16] for part in sample.reshape(-1, 8)])
+    np.testing.assert_allclose(out, np.exp(sample), rtol=2e-14)
+
+
+def test_exponential_at_the_ends():
+    x = np.array([0.0, -0.0, -708.0, -709.0, -1e4, 709.0, 710.0, 1e4])
+    out = results([x, *[np.ones(8)] * 5])[16]
+    assert out[0] == out[1] == 1.0
+    assert out[2] == out[3] == out[4] > 0.0
+    assert out[5] == out[6] == out[7] < math.inf
+    # not a number is clamped like the lowest: whoever uses the result must look at the argument
+    assert results([np.full(8, math.nan), *[np.ones(8)] * 5])[16, 0] == out[2]
