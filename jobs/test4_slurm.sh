@@ -7,6 +7,7 @@
 # Two minutes before the time limit SLURM sends SIGUSR1 to this script (the B: below), which hands it to mpirun,
 # and mpirun to the ranks: rvm writes a checkpoint and exits with status 75, "run again with --restart". This
 # script then puts itself back into the queue, and goes on from the checkpoint when its turn comes.
+# (Not SIGTERM: Open MPI's mpirun answers that by ending the ranks within two seconds.)
 #
 #SBATCH --job-name=rvm-test4
 #SBATCH --nodes=1

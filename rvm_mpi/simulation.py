@@ -10,7 +10,9 @@ is one time step each; `run_job` is the same loop with a run directory around it
 from __future__ import annotations
 
 import math
+import shlex
 import sys
+import time as clock
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -560,9 +562,7 @@ class Run:
         progress = None
         if self.head:
             stream = None if self.quiet else sys.stderr
-            progress = Progress(
-                sim.job, stream, self.log, self.comm.size, start_time=sim.time, start_step=sim.number
-            )
+            progress = Progress(sim.job, stream, self.log, self.comm.size, start_time=sim.time, start_step=sim.number)
         stopped = ""
         try:
             if self.saved is None:
@@ -597,9 +597,11 @@ class Run:
         if stopped:
             if self.head:
                 control.forget_stop_file()
+            again = ["mpirun", "-n", str(self.comm.size)] if self.comm.size > 1 else []
+            again += ["rvm", "run", str(self.output / "job.toml"), "--output", str(self.output), "--restart"]
             self.say(
                 f"rvm: {sim.job.name}: stopped by {stopped} after step {sim.number} at t = {sim.time:.6g}, with a "
-                f"checkpoint; go on with: rvm run {self.output / 'job.toml'} --output {self.output} --restart"
+                f"checkpoint; go on with: {shlex.join(again)}"
             )
             return 75
         return 0
@@ -614,10 +616,12 @@ class Run:
         with checkpoint.agreed(sim.domain, self.output):
             for file in files:
                 checkpoint.flush_to_disk(file)
-        checkpoint.write(sim.state(), sim.domain, sim.job, self.output, sim.number)
+        begin = clock.perf_counter()
+        path = checkpoint.write(sim.state(), sim.domain, sim.job, self.output, sim.number)
         self.saved = sim.number
         if self.log is not None:
-            self.log.write(f"checkpoint of step {sim.number}, t = {sim.time:.6g}\n")
+            size, seconds = path.stat().st_size / 1e6, clock.perf_counter() - begin
+            self.log.write(f"checkpoint of step {sim.number}, t = {sim.time:.6g}: {size:.1f} MB in {seconds:.2f} s\n")
             self.log.flush()
 
     def record(self) -> None:

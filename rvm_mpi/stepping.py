@@ -160,7 +160,9 @@ class KineticStepper:
         wy, wx = self.domain.ghosts(GHOSTS)
         nx, ny = self.domain.local
         g = self.g[wy : wy + ny, wx : wx + nx]
-        cells = {"omega": self.omega, "carried": self.now.carried, "sums": self.now.sums}
+        cells = {"omega": self.omega, "sums": self.now.sums}
+        if self.model.conservative:
+            cells["carried"] = self.now.carried
         return g, cells, {name: self._through[SIDES.index(name)] for name in self._far}
 
     def _interior(self, array: np.ndarray) -> np.ndarray:
