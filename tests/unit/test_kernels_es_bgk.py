@@ -9,7 +9,7 @@ from numpy_twins import gaussian, make_grid, nodes, powers, ten_sums
 from rvm_mpi.collisions import es_bgk
 from rvm_mpi.stage import Work, kernel_grid
 
-SETTINGS = settings(max_examples=60, deadline=None)
+SETTINGS = settings(max_examples=40, deadline=None)
 SEED = st.integers(0, 2**32 - 1)
 POINTS = st.sampled_from([(8,), (7,), (9, 7), (8, 8), (8, 6, 7), (8, 8, 8), (7, 8, 9)])
 PLACES = [(0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)]

@@ -9,7 +9,7 @@ from numpy_twins import SHAPES, five_sums, laid_out, make_grid, nodes, random_g,
 from rvm_mpi.kinetic.transport import upper_fluxes
 from rvm_mpi.stage import kernel_grid
 
-SETTINGS = settings(max_examples=60, deadline=None)
+SETTINGS = settings(max_examples=40, deadline=None)
 SPEED = st.one_of(st.just(0.0), st.floats(1e-6, 50.0))
 CASES = {
     "points": st.sampled_from(SHAPES),

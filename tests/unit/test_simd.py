@@ -14,7 +14,7 @@ from rvm_mpi.domain import aligned
 
 # compiled anew each time: a cached kernel would not see a change in simd.py
 FRESH = {**simd.KERNEL, "cache": False}
-SETTINGS = settings(max_examples=200, deadline=None)
+SETTINGS = settings(max_examples=80, deadline=None)
 ROWS = 24
 
 

@@ -1,0 +1,171 @@
+"""What a stage is made of, and both stages as a whole, against plain NumPy."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy_twins import SHAPES, Twin, make_grid, pack, random_g, ten_sums
+
+from rvm_mpi import stage
+from rvm_mpi.domain import Domain
+from rvm_mpi.job import Job
+from rvm_mpi.stepping import KineticStepper
+
+SETTINGS = settings(max_examples=40, deadline=None)
+SEED = st.integers(0, 2**32 - 1)
+
+
+@SETTINGS
+@given(
+    thermal=st.floats(1e-3, 1e3), density=st.floats(1e-3, 1e3), d=st.integers(1, 3), cooling=st.floats(0.0, 10.0),
+    dt=st.floats(0.0, 10.0),
+)  # fmt: skip
+def test_haff(thermal, density, d, cooling, dt):
+    """1/sqrt(T) grows linearly at the rate cooling rho, and time runs backwards too."""
+    after = stage.cooled(thermal, density, d, cooling, dt)
+    before, now = (1.0 / np.sqrt(2.0 * e / (d * density)) for e in (thermal, after))
+    assert now == pytest.approx(before + cooling * density * dt, rel=1e-13)
+    assert stage.cooled(after, density, d, cooling, -dt) == pytest.approx(thermal, rel=1e-10 * (now / before) ** 2)
+
+
+@SETTINGS
+@given(points=st.sampled_from(SHAPES), seed=SEED, share=st.sampled_from([0.0, 0.3, 1.0]))
+def test_mix(points, seed, share):
+    grid, rng = make_grid(points), np.random.default_rng(seed)
+    kernel = stage.kernel_grid(grid)
+    block, gaussian = random_g(grid, rng, signed=True), random_g(grid, rng)
+    fx, fs = rng.random(grid.points[0]), rng.random(grid.slab_size)
+    out, extremes = rng.normal(size=3 * grid.block), np.zeros(16)
+    before = out.copy()
+    dirty = pack(grid, block)
+    dirty.reshape(-1, grid.slab_size)[:, grid.slab_points :] = 1e9  # whatever the padding holds
+    stage.mix(
+        dirty, fx, fs, 0.7, pack(grid, gaussian), share, grid.points[0], grid.slab_size, kernel.slab, out,
+        grid.block, extremes,
+    )  # fmt: skip
+    factor = fx[:, None, None] * fs[: grid.slab_points].reshape(1, *grid.points[1:])
+    wanted = 0.7 * block * factor + share * gaussian
+    found = out[grid.block : 2 * grid.block]
+    np.testing.assert_allclose(grid.unpack(found), wanted, rtol=1e-13, atol=1e-15 * np.abs(wanted).max())
+    assert not found.reshape(-1, grid.slab_size)[:, grid.slab_points :].any()
+    assert (extremes[0], extremes[1]) == (grid.unpack(found).min(), grid.unpack(found).max())
+    untouched = np.r_[0 : grid.block, 2 * grid.block : 3 * grid.block]
+    np.testing.assert_array_equal(out[untouched], before[untouched])
+
+
+@SETTINGS
+@given(
+    points=st.sampled_from([(8,), (8, 8), (8, 8, 8)]), seed=SEED, nu=st.sampled_from([-0.5, 0.0, 0.4]),
+    second=st.booleans(), z=st.floats(1e-6, 1e4),
+)  # fmt: skip
+def test_blend(points, seed, nu, second, z):
+    """The mixture of both Gaussians solves the implicit equation of the stage: put in, it gives the result back."""
+    grid, rng = make_grid(points), np.random.default_rng(seed)
+    d = len(points)
+    nu = nu if d > 1 else 0.0
+    first, explicit = rng.random(grid.points), rng.random(grid.points)
+    w0, w1 = (0.5 * z, 0.5 * z * z) if second else (0.0, z)
+    whole = 1.0 + 2.0 * w0 + w1
+    s0, s = ten_sums(grid, first), ten_sums(grid, explicit) * (1.0 + w0)
+    wanted = (s[:4] + w0 * s0[:4]) / (whole - w1)
+    energy = 0.5 * ((s + w0 * s0)[[4, 7, 9]]).sum() / (whole - w1)
+    wanted = np.array([*wanted, energy])
+    temperature = (2.0 * energy / wanted[0] - (wanted[1:4] ** 2).sum() / wanted[0] ** 2) / d
+    centre, tensor = np.zeros(3), np.zeros(6)
+    density = stage.blend(nu, d, s0, s, wanted, temperature, w0, w1, whole, centre, tensor)
+    twin = Twin(grid, (), SimpleNamespace(nu=nu))
+    # what the result is, if the blended Gaussian has these moments
+    full = np.zeros((3, 3))
+    for value, (a, b) in zip(tensor, [(0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)], strict=True):
+        full[a, b] = full[b, a] = value
+    mixture = density * (full + np.outer(centre, centre))[:d, :d]
+    result = (second_of(s, d) + (w0 + w1) * mixture) / whole
+    own = [
+        rho * (twin.tensor_of(m, rho, u) + np.outer(u, u))
+        for m, rho, u in (
+            (second_of(s0, d), s0[0], (s0[1:4] / s0[0])[:d]),
+            (result, wanted[0], (wanted[1:4] / wanted[0])[:d]),
+        )
+    ]
+    np.testing.assert_allclose((w0 + w1) * mixture, w0 * own[0] + w1 * own[1], atol=1e-12 * (w0 + w1) * 50 * density)
+    assert (w0 + w1) * density == pytest.approx(w0 * s0[0] + w1 * wanted[0], rel=1e-13)
+    momentum = w0 * s0[1:4] + w1 * wanted[1:4]
+    np.testing.assert_allclose((w0 + w1) * density * centre, momentum, atol=1e-12 * (w0 + w1) * density)
+
+
+def second_of(sums, d):
+    full = np.zeros((3, 3))
+    for value, (a, b) in zip(sums[4:10], [(0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)], strict=True):
+        full[a, b] = full[b, a] = value
+    return full[:d, :d]
+
+
+# -- whole steps ---------------------------------------------------------------------------------------------
+
+BASE = {"initial": {"state": "uniform"}, "time": {"end": 1.0}, "fluid": {"enabled": False}}
+PLANE = {"space": {"cells": [4, 3], "upper": [1.0, 0.8]}, "velocity": {"points": [9, 8, 8], "half_width": 6.0}}
+LINE = {"space": {"cells": [6]}, "velocity": {"points": [16]}}
+GRANULAR = {"operator": "granular-es-bgk", "knudsen": 0.05, "restitution": 0.7}
+RELAX = {"relaxation": {"coefficient": 2.0, "density_power": 1, "temperature_power": 0.5}}
+GIVEN = {"scaling": {"kind": "macroscopic"}, "fluid": {"enabled": True}}
+STEPS = {
+    "kinetic scaling, granular": ({**BASE, **PLANE, "collision": GRANULAR}, 1e-9),
+    "kinetic scaling, one dimension": ({**BASE, **LINE, "collision": {**GRANULAR, **RELAX}}, 1e-9),
+    "kinetic scaling, no collisions": ({**BASE, **PLANE, "collision": {"operator": "none"}}, 1e-11),
+    "kinetic scaling, kappa": ({**BASE, **PLANE, "collision": GRANULAR, "scheme": {"drift": "kappa"}}, 1e-9),
+    "given scaling, conservative": ({**BASE, **PLANE, **GIVEN, "collision": GRANULAR}, 1e-9),
+    "given scaling, the paper's": (
+        {**BASE, **PLANE, **GIVEN, "collision": GRANULAR, "scheme": {"conservative": False}},
+        1e-11,
+    ),
+    "given scaling, one dimension": (
+        {**BASE, **LINE, **GIVEN, "collision": {**GRANULAR, **RELAX}, "scheme": {"conservative": False}},
+        1e-11,
+    ),
+    "elastic, stiff": ({**BASE, **PLANE, "collision": {"operator": "es-bgk", "knudsen": 1e-4}}, 1e-9),
+}
+
+
+@pytest.mark.parametrize("name", list(STEPS))
+def test_a_step(name):
+    """Conservative steps agree to what the correction's last Newton step leaves of the stress, others to round-off."""
+    mapping, tolerance = STEPS[name]
+    job = Job.from_dict(mapping)
+    d, (nx, ny) = job.velocity.dimensions, (*job.space.cells, 1)[:2]
+    rng = np.random.default_rng(7)
+    density = rng.uniform(0.8, 1.2, (ny, nx))
+    velocity = 0.1 * rng.normal(size=(ny, nx, d))
+    stress = np.zeros((ny, nx, d, d))
+    for at in np.ndindex(ny, nx):
+        root = 0.2 * rng.normal(size=(d, d))
+        stress[at] = np.eye(d) * rng.uniform(0.9, 1.1) + 0.3 * (root + root.T)
+    stepper = KineticStepper(job, Domain(job), density, velocity, stress)
+    rescaled = job.scaling.kind == "kinetic"
+    omega_end = None if rescaled else stepper.omega * rng.uniform(0.99, 1.01, (ny, nx))
+    twin = Twin(stepper.velocity_grid, job.space.spacing, stepper.model)
+    wy, wx = stepper.space.wy, stepper.space.wx
+    inner = np.s_[wy : wy + ny, wx : wx + nx]
+
+    def unpacked():
+        return stepper.velocity_grid.unpack(stepper.g[inner]).copy()
+
+    stepper.first_stage(0.0)
+    dt = 0.4 / stepper.rate
+    # the second step starts from a g that is no Gaussian any more
+    for _ in range(2):
+        g, omega, carried = unpacked(), stepper.omega.copy(), stepper.now.carried.copy()
+        if omega_end is not None:
+            stepper.set_scaling(omega_end, dt)
+        stepper.first_stage(dt)
+        stepper.second_stage(dt)
+        wanted, wanted_omega, wanted_carried = twin.step(g, omega, carried, dt, omega_end)
+        found = unpacked()
+        assert np.abs(found - g).max() > 1e-3 * g.max()
+        np.testing.assert_allclose(found, wanted, rtol=tolerance, atol=tolerance * g.max())
+        np.testing.assert_allclose(stepper.omega, wanted_omega, rtol=0.01 * tolerance)
+        if job.scheme.conservative:
+            np.testing.assert_allclose(stepper.now.carried, wanted_carried, rtol=1e-11, atol=1e-12)
+        sums = ten_sums(stepper.velocity_grid, found)
+        np.testing.assert_allclose(stepper.now.sums, sums, atol=max(tolerance, 1e-9) * np.abs(sums).max())
