@@ -66,6 +66,7 @@ def fill_side(g, inner, along, inward, count, axis, sign, kind, accommodation, s
     nvx, nvy, nvz = grid.points
     size = grid.slab_size
     factor = np.empty((3, grid.nodes.shape[1]))
+    peak = np.zeros(3)
     for c in range(count):
         cell = inner + c * along
         near, far = cell - inward, cell - 2 * inward
@@ -92,6 +93,7 @@ def fill_side(g, inner, along, inward, count, axis, sign, kind, accommodation, s
                     factor[q, n] = -0.5 * s * s / variance
                     if q != axis or sign * grid.nodes[q, n] > 0.0:
                         highest = max(highest, factor[q, n])
+                peak[q] = highest
                 for n in range(grid.points[q]):
                     factor[q, n] = math.exp(min(factor[q, n] - highest, 0.0))
             arriving, leaving = 0.0, 0.0
@@ -109,6 +111,19 @@ def fill_side(g, inner, along, inward, count, axis, sign, kind, accommodation, s
             else:
                 flux = inward_flux(states[c, 0], sign * states[c, 1 + axis], states[c, 4])
                 scale = flux / (w * grid.weight * arriving)
+                # where the grid resolves the gas, the density of the whole Maxwellian instead: the sum over half the
+                # nodes is off by h^2/24, which a uniform gas must not see
+                per_spacing = grid.per_spacing[axis]
+                resolved = min(max(4.0 * variance * per_spacing * per_spacing - 1.0, 0.0), 1.0)
+                if resolved > 0.0:
+                    whole = 1.0
+                    for q in range(3):
+                        mean, part = states[c, 1 + q] / w, 0.0
+                        for n in range(grid.points[q]):
+                            s = grid.nodes[q, n] - mean
+                            part += math.exp(-0.5 * s * s / variance - peak[q])
+                        whole *= part
+                    scale += resolved * (states[c, 0] / (grid.weight * whole) - scale)
         for k in range(nvx):
             for j in range(nvy):
                 speed = sign * (grid.nodes[0, k] if axis == 0 else grid.nodes[1, j])

@@ -26,7 +26,9 @@ def line(cells: int, boundary: Any = "periodic", lower: float = 0.0, upper: floa
     return {"cells": [cells], "lower": [lower], "upper": [upper], "boundary": {"x": boundary}}
 
 
-def es_bgk(knudsen: float, coefficient: float = 1.0, density: float = 1.0, temperature: float = 0.0, **keys: Any) -> dict:
+def es_bgk(
+    knudsen: float, coefficient: float = 1.0, density: float = 1.0, temperature: float = 0.0, **keys: Any
+) -> dict[str, Any]:
     """A `collision` table: elastic ES-BGK with tau = coefficient rho^density T^temperature."""
     law = {"coefficient": coefficient, "density_power": density, "temperature_power": temperature}
     return {"operator": "es-bgk", "knudsen": knudsen, "relaxation": law, **keys}

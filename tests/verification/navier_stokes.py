@@ -58,7 +58,9 @@ def viscosity(relaxation_time=0.01, cells=32, points=(12, 12, 12), scaling="kine
     return rate / (relaxation_time * K**2)
 
 
-def conductivity(relaxation_time=0.01, cells=32, points=(12, 12, 12), scaling="kinetic", drift="van-leer", prandtl=2 / 3):
+def conductivity(
+    relaxation_time=0.01, cells=32, points=(12, 12, 12), scaling="kinetic", drift="van-leer", prandtl=2 / 3
+):
     """kappa/(5/2 p relaxation_time) of a decaying isobaric wave; Chapman and Enskog: 1.
 
     The start is not the pure mode and sends off sound of relative amplitude lambda k. Sound carries no entropy to this

@@ -102,7 +102,7 @@ def test_what_crosses_open_sides_is_counted(kind):
     row = balances(job, 200)
     assert abs(row["mass_error"]) <= 1e-13
     assert row["momentum_error"] <= 1e-12 and abs(row["energy_error"]) <= 1e-12
-    lost = -sum(row[f"entered_mass_{side}"] for side in ("x-lower", "x-upper"))
+    lost = -sum(row[f"entered_energy_{side}"] for side in ("x-lower", "x-upper"))
     assert abs(lost) > 1e-3
 
 
