@@ -74,9 +74,18 @@ def smallest_variance(nodes, count, mean):  # type: ignore[no-untyped-def]
 def fit_axis(nodes, count, mean, variance, result):  # type: ignore[no-untyped-def]
     """exp(b s + a s^2), s = node - mean, with the given mean and variance on the nodes of one axis.
 
-    Newton's method from the continuous Gaussian; `result` receives a, b and the sum over the nodes, of the best found.
+    Newton's method from the continuous Gaussian, or, where that is narrower than the grid, from the weights of the
+    three nodes around the mean; `result` receives a, b and the sum over the nodes, of the best found.
     """
     a, b = -0.5 / variance, 0.0
+    h = nodes[1] - nodes[0]
+    nearest = min(max(int((mean - nodes[0]) / h + 0.5), 0), count - 1)
+    off_node = mean - nodes[nearest]
+    beside = (variance + off_node * off_node) / (h * h)
+    above, below = 0.5 * (beside + off_node / h), 0.5 * (beside - off_node / h)
+    if variance < 0.3 * h * h and 0 < nearest < count - 1 and beside < 1.0 and above > 0.0 and below > 0.0:
+        a = math.log(above * below / (1.0 - beside) ** 2) / (2.0 * h * h)
+        b = (math.log(above / below) + 4.0 * a * h * off_node) / (2.0 * h)
     result[0], result[1], result[2] = a, b, 1.0
     smallest = math.inf
     for _ in range(12):

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from numpy_twins import gaussian, make_grid, nodes, powers, ten_sums
 
@@ -230,3 +230,23 @@ def test_gaussian_moments():
     wanted = np.exp(np.einsum("p,pijk->ijk", theta, powers(grid, centre)))
     np.testing.assert_allclose(grid.unpack(block), wanted, rtol=1e-12)
     np.testing.assert_allclose(moments, ten_sums(grid, wanted, centre), rtol=1e-11, atol=1e-12 * wanted.sum())
+
+
+@SETTINGS
+@given(seed=SEED, off=st.floats(-0.5, 0.5), room=st.floats(0.0101, 0.3), d=st.integers(1, 3))
+@example(seed=126, off=0.00486, room=0.0101, d=1)
+@example(seed=126, off=0.00486, room=0.0101, d=2)
+@example(seed=126, off=-0.005, room=0.0125, d=2)
+def test_an_axis_as_cold_as_the_grid_allows(seed, off, room, d):
+    """Nearly all of the gas on one or two nodes of an axis, wherever the mean lies between them."""
+    grid, rng = make_grid((8,) * d), np.random.default_rng(seed)
+    h = grid.spacing[0]
+    mean = random_mean(rng, d, 1.0)
+    mean[0] = nodes(grid)[0].ravel()[4] + off * h
+    tensor = random_tensor(rng, d, 1.2, 3.0, 0.2)
+    factor = np.ones(d)
+    factor[0] = np.sqrt((least(grid, mean[0], 0) + room * h * h) / tensor[0, 0])
+    tensor = factor[:, None] * tensor * factor
+    status, g, six, _moments = run_gaussian(grid, 1.0, mean, tensor)
+    assert status <= es_bgk.REPLACED
+    assert_has_moments(grid, g, 1.0, mean, unpacked(six))
