@@ -10,6 +10,7 @@ is one time step each; `run_job` is the same loop with a run directory around it
 from __future__ import annotations
 
 import math
+import os
 import shlex
 import sys
 import time as clock
@@ -426,12 +427,21 @@ def run_job(
         On every rank, before anything is written.
     """
     rundir.check(output, restart, overwrite)
+    if not quiet and os.environ.get("OMPI_COMM_WORLD_RANK", "0") == "0" and not _compiled_before():
+        print("compiling the kernels, once per installation: about a minute", file=sys.stderr, flush=True)
     with Control(output, walltime, job.output.checkpoint_every) as control:
         simulation, lines = _resumed(job, output) if restart else (Simulation(job), [])
         with Run(simulation, output, restart, overwrite, quiet) as run:
             for line in lines:
                 run.say(line)
             return run.go(control)
+
+
+def _compiled_before() -> bool:
+    """Whether numba's cache beside the sources holds the largest kernel."""
+    from rvm_mpi import stage
+
+    return any((Path(stage.__file__).parent / "__pycache__").glob("stage.sweep*.nbi"))
 
 
 def _resumed(job: Job, output: Path) -> tuple[Simulation, list[str]]:
@@ -445,7 +455,7 @@ class Run:
     """A simulation with its run directory: snapshots, history, checkpoints, log."""
 
     def __init__(self, simulation: Simulation, output: Path, restart: bool, overwrite: bool, quiet: bool) -> None:
-        from rvm_mpi.results import FieldsFile, History, write_xdmf
+        from rvm_mpi.results import FieldsFile, History
 
         self.simulation = sim = simulation
         self.output, self.comm = output, sim.domain.comm
@@ -471,7 +481,8 @@ class Run:
             sim.kinetic.velocity_grid.x,
             resume_after=sim.time if restart else None,
         )
-        self._on_rank_0(lambda: write_xdmf(output / "fields.xdmf", job, list(job.output.times)))
+        #: times of the snapshots that exist, NaN for the others
+        self._times = [t if restart and t <= sim.time else math.nan for t in job.output.times]
         if self.head:
             columns = sim.diagnostics.columns
             self.history = History(output / "history.csv", columns, sim.number if restart else None)
@@ -640,17 +651,14 @@ class Run:
 
         A restart that goes on drops it: its time is not one of the job's.
         """
-        from rvm_mpi.results import write_xdmf
-
         sim, times = self.simulation, list(self.simulation.job.output.times)
         later = [index for index, t in enumerate(times) if t > sim.time]
-        if sim.time in times or not later:
-            return
-        self._write_snapshot(later[0])
-        times[later[0]] = sim.time
-        self._on_rank_0(lambda: write_xdmf(self.output / "fields.xdmf", sim.job, times))
+        if later and sim.time not in times:
+            self._write_snapshot(later[0])
 
     def _write_snapshot(self, index: int) -> None:
+        from rvm_mpi.results import write_xdmf
+
         sim = self.simulation
         i0, j0 = sim.domain.start
         nx, ny = sim.domain.local
@@ -660,5 +668,7 @@ class Run:
             extra[name] = ((slice(first, first + count),), values)
         try:
             self.fields.write(index, sim.time, sim.snapshot(), extra)
+            self._times[index] = sim.time
+            self._on_rank_0(lambda: write_xdmf(self.output / "fields.xdmf", sim.job, self._times))
         except OSError as error:  # on every rank
             raise DiskFailure(str(error)) from error
