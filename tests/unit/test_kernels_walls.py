@@ -127,7 +127,7 @@ def test_no_mass_through_a_maxwell_wall(points, seed, side, signed, accommodatio
 @SETTINGS
 @given(**CASE)
 def test_far_field_sends_in_the_exact_flux_or_a_resolved_maxwellian(points, seed, side):
-    """Narrower than half the spacing: the exact flux; wider than 0.71 of it: the Maxwellian of the far gas's density."""
+    """Narrower than half the spacing: the exact flux; wider than 0.71 of it: a Maxwellian of the far density."""
     s = Side(points, seed, side)
     s.states[:, 4] *= s.rng.choice([0.03, 1.0, 10.0], COUNT)
     after = s.fill("far-field")
