@@ -164,8 +164,8 @@ def test_a_step(name):
         found = unpacked()
         assert np.abs(found - g).max() > 1e-3 * g.max()
         np.testing.assert_allclose(found, wanted, rtol=tolerance, atol=tolerance * g.max())
-        np.testing.assert_allclose(stepper.omega, wanted_omega, rtol=0.01 * tolerance)
+        np.testing.assert_allclose(stepper.omega, wanted_omega, rtol=0.03 * tolerance)
         if job.scheme.conservative:
-            np.testing.assert_allclose(stepper.now.carried, wanted_carried, rtol=1e-11, atol=1e-12)
+            np.testing.assert_allclose(stepper.now.carried, wanted_carried, atol=3e-11)
         sums = ten_sums(stepper.velocity_grid, found)
         np.testing.assert_allclose(stepper.now.sums, sums, atol=max(tolerance, 1e-9) * np.abs(sums).max())
