@@ -14,7 +14,10 @@ import pytest
 from conftest import SYSTEM_MPIRUN, mpi_environment
 
 PROGRAM = Path(__file__).with_name("restart_program.py")
+PATIENCE = 400.0  # seconds: on a busy machine kernels may take minutes to compile the first time
 SPACE = ["1d-macroscopic", "1d-unscaled", "2d-walls", "2d-macroscopic", "2d-kinetic"]
+
+pytestmark = pytest.mark.timeout(3 * PATIENCE)
 
 
 def datasets(path, but=()):
@@ -44,7 +47,7 @@ def runs(mpirun, tmp_path_factory):
     top = tmp_path_factory.mktemp("runs")
     for ranks, cases in ((2, SPACE), (1, ["0d"])):
         for what in ("whole", "half"):
-            result = mpirun(ranks, PROGRAM, top, what, *cases)
+            result = mpirun(ranks, PROGRAM, top, what, *cases, timeout=PATIENCE)
             assert result.stdout.split("\n")[:-1] == [f"STATUS {case} 0" for case in cases], result.stderr
     return top
 
@@ -53,7 +56,7 @@ def runs(mpirun, tmp_path_factory):
 def test_the_same_bits_on_the_same_and_on_other_ranks(mpirun, runs, ranks, cases):
     for case in cases:
         shutil.copytree(runs / "half" / case, runs / f"on-{ranks}" / case)
-    result = mpirun(ranks, PROGRAM, runs, f"on-{ranks}", *cases)
+    result = mpirun(ranks, PROGRAM, runs, f"on-{ranks}", *cases, timeout=PATIENCE)
     assert result.stdout.split("\n")[:-1] == [f"STATUS {case} 0" for case in cases], result.stderr
     for case in cases:
         assert_same(runs / "whole" / case, runs / f"on-{ranks}" / case, step=6)
@@ -70,7 +73,7 @@ def test_a_damaged_newest_checkpoint_costs_some_steps_and_no_bits(mpirun, runs):
     bad = directory / "checkpoint-00000006.h5"
     with h5py.File(bad, "r+") as file:
         file["g"][0, 8, 17] *= 1.5
-    result = mpirun(2, PROGRAM, runs, "damaged", "2d-walls")
+    result = mpirun(2, PROGRAM, runs, "damaged", "2d-walls", timeout=PATIENCE)
     assert result.stdout == "STATUS 2d-walls 0\n", result.stderr
     log = (directory / "run.log").read_text()
     assert f"{bad} is damaged: the checksum of cell (8, 0) does not fit (g)" in log
@@ -82,7 +85,7 @@ def test_when_one_rank_cannot_write_the_run_ends_with_3_and_what_was_there_stays
     directory = runs / "disk-full" / "2d-walls"
     shutil.copytree(runs / "half" / "2d-walls", directory)
     before = (directory / "checkpoint-00000003.h5").read_bytes()
-    result = mpirun(2, PROGRAM, runs, "disk-full", "2d-walls")
+    result = mpirun(2, PROGRAM, runs, "disk-full", "2d-walls", timeout=PATIENCE)
     assert result.stdout == "STATUS 2d-walls 3\n", result.stderr
     lines = [line for line in result.stderr.splitlines() if line.startswith("rvm: ")]
     assert len(lines) == 1
@@ -133,12 +136,12 @@ def stop_run(ranks, job, directory, stop, *options):
         line, env=mpi_environment(), stdin=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, start_new_session=True
     ) as process:
         try:
-            limit = time.monotonic() + 90.0
+            limit = time.monotonic() + PATIENCE
             while len(rows(directory)) < done + 3 and process.poll() is None and time.monotonic() < limit:
                 time.sleep(0.02)
             if stop is not None and process.poll() is None:
                 stop(process)
-            _, stderr = process.communicate(timeout=60)
+            _, stderr = process.communicate(timeout=PATIENCE)
         except BaseException:
             os.killpg(process.pid, signal.SIGTERM)
             raise
@@ -176,7 +179,7 @@ def test_whatever_stops_a_run_it_goes_on_with_the_same_bits(mpirun, tmp_path):
     status, stderr = stop_run(2, directory / "job.toml", directory, None, "--restart", "--set", most)
     assert status == 0, stderr
     whole = tmp_path / "whole"
-    result = mpirun(2, "-m", "rvm_mpi", "run", job, "--output", whole, "--set", most, "--quiet")
+    result = mpirun(2, "-m", "rvm_mpi", "run", job, "--output", whole, "--set", most, "--quiet", timeout=PATIENCE)
     assert result.returncode == 0, result.stderr
     assert [line.split(",")[0] for line in rows(directory)] == [str(n) for n in range(steps + 1)]
     assert_same(whole, directory, steps)
@@ -185,18 +188,18 @@ def test_whatever_stops_a_run_it_goes_on_with_the_same_bits(mpirun, tmp_path):
 def test_what_cannot_be_restarted_is_refused(mpirun, tmp_path):
     job, directory = tmp_path / "job.toml", tmp_path / "run"
     job.write_text(JOB)
-    result = mpirun(2, "-m", "rvm_mpi", "run", job, "--output", directory, "--restart")
+    result = mpirun(2, "-m", "rvm_mpi", "run", job, "--output", directory, "--restart", timeout=PATIENCE)
     assert result.returncode == 2
     assert f"rvm: {directory}: nothing to restart" in result.stderr
     assert not directory.exists()
     first = ["-m", "rvm_mpi", "run", job, "--output", directory, "--set", "time.max_steps=1", "--quiet"]
-    assert mpirun(2, *first).returncode == 0
+    assert mpirun(2, *first, timeout=PATIENCE).returncode == 0
     before = {path.name: path.read_bytes() for path in directory.iterdir()}
-    result = mpirun(2, *first, "--restart", "--set", "collision.knudsen=0.2")
+    result = mpirun(2, *first, "--restart", "--set", "collision.knudsen=0.2", timeout=PATIENCE)
     assert result.returncode == 2
     assert "cannot restart as another job: collision.knudsen is 0.2, was 0.1" in result.stderr
     next(directory.glob("checkpoint-*")).write_bytes(b"nothing")
-    result = mpirun(2, *first, "--restart")
+    result = mpirun(2, *first, "--restart", timeout=PATIENCE)
     assert result.returncode == 2
     assert "nothing to restart from" in result.stderr
     assert "checkpoint-00000001.h5 is damaged" in result.stderr
