@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 LIBRARIES = 225e6
 """Bytes a process holds before it has any array: Python, numpy, numba and its kernels, PETSc, MPI, HDF5."""
-SECONDS_PER_CELL = 3e-9
+SECONDS_PER_CELL = 8e-9
 """Nominal time of one stage for one phase-space cell on one core; `rvm bench` measures a machine's own."""
 STAGES = 2
 GHOSTS_OF_G = 2
