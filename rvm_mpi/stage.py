@@ -74,7 +74,7 @@ class Model(NamedTuple):
 class Cells(NamedTuple):
     """Fields of the cells at one time level: what a stage reads, and what it writes of the next.
 
-    omega has one ghost cell in each direction in use; carried (ny, nx, 5) are rho, rho u, E of f; sums
+    omega has two ghost cells in each direction in use; carried (ny, nx, 5) are rho, rho u, E of f; sums
     (ny, nx, 10) those of 1, xi, xi xi over g's nodes.
     """
 
@@ -131,7 +131,7 @@ class Work(NamedTuple):
             gaussian=aligned((grid.block,)),
             scratch=aligned((drift.SCRATCH_ROWS * row + 8,)),
             south_moments=np.zeros((nx, 5)),
-            rates=np.zeros(9),
+            rates=np.zeros(11),
             extremes=np.zeros(16),
             vectors=np.zeros((14, SUMS)),
             correction=(
@@ -159,12 +159,29 @@ def relaxation_rate(model, density, temperature):  # type: ignore[no-untyped-def
 
 
 @njit(**KERNEL)
-def through(moments, omega, weight, flux):  # type: ignore[no-untyped-def]
-    """Rates of mass, momentum and energy of f through a face, from the sums of the flux of g times 1, xi, |xi|^2."""
-    flux[0] = weight * moments[0]
-    for q in range(1, 4):
-        flux[q] = weight * omega * moments[q]
-    flux[4] = 0.5 * weight * omega * omega * moments[4]
+def through(moments, weight, flux):  # type: ignore[no-untyped-def]
+    """Rates of mass, momentum and energy of f through a face, from the moments of its flux (`transport.py`)."""
+    for q in range(4):
+        flux[q] = weight * moments[q]
+    flux[4] = 0.5 * weight * moments[4]
+
+
+@njit(**KERNEL)
+def face_omega(omega, j, i, down, right):  # type: ignore[no-untyped-def]
+    """omega at the upper face of cell (j, i) along (down, right), as this cell and as the next one see it.
+
+    Velocities that go up carry the lower cell's omega, those that go down the upper cell's, each reconstructed with Van
+    Leer's limiter: what crosses a face is then what the gas of that side sends, however much omega jumps.
+    """
+    a, b = omega[j - down, i - right], omega[j, i]
+    c, e = omega[j + down, i + right], omega[j + 2 * down, i + 2 * right]
+    return b + limited(b - a, c - b), c - limited(c - b, e - c)
+
+
+@njit(**KERNEL)
+def limited(a, b):  # type: ignore[no-untyped-def]
+    """Half of Van Leer's slope."""
+    return a * b / (a + b) if a * b > 0.0 else 0.0
 
 
 @njit(**KERNEL)
@@ -285,7 +302,7 @@ def sweep(  # type: ignore[no-untyped-def]
     points_x = points[0]
     nx, ny, wx, wy = space.nx, space.ny, space.wx, space.wy
     row = (nx + 2 * wx) * block
-    gx, gy = min(wx, 1), min(wy, 1)
+    gx, gy = wx, wy
     omega = stage.omega
     west, south, result = work.west, work.south, work.result
     south_moments, rates, v, extremes = work.south_moments, work.rates, work.vectors, work.extremes
@@ -306,13 +323,12 @@ def sweep(  # type: ignore[no-untyped-def]
                 continue
             cell = (j + wy) * row + (i + wx) * block
             here = omega[j + gy, i + gx]
-            omega_w, omega_e, omega_s, omega_n = here, here, here, here
+            omega_w, omega_e, omega_s, omega_n = (here, here), (here, here), (here, here), (here, here)
             across_x, across_y = space.dimensions >= 1 and j >= 0, space.dimensions == 2 and i >= 0
             if across_x:
-                omega_e = 0.5 * (here + omega[j + gy, i + 2])
+                omega_e = face_omega(omega, j + gy, i + gx, 0, 1)
             if across_y:
-                omega_n = 0.5 * (here + omega[j + 2, i + gx])
-            speeds = (omega_e * space.per_dx if across_x else 0.0, omega_n * space.per_dy if across_y else 0.0)
+                omega_n = face_omega(omega, j + gy, i + gx, 1, 0)
             upper_fluxes(
                 g,
                 cell,
@@ -323,7 +339,9 @@ def sweep(  # type: ignore[no-untyped-def]
                 grid.below,
                 grid.x,
                 grid.slab,
-                speeds,
+                (omega_e[0], omega_e[1], omega_n[0], omega_n[1]),
+                space.per_dx if across_x else 0.0,
+                space.per_dy if across_y else 0.0,
                 west if j >= 0 else work.gaussian,
                 south if i >= 0 else work.gaussian,
                 max(i, 0) * block,
@@ -338,13 +356,13 @@ def sweep(  # type: ignore[no-untyped-def]
                 west_moments[:5] = east_moments[:5]
                 continue
             if across_x:
-                omega_w = 0.5 * (omega[j + gy, i] + here)
+                omega_w = face_omega(omega, j + gy, i + gx - 1, 0, 1)
             if across_y:
-                omega_s = 0.5 * (omega[j, i + gx] + here)
-            through(west_moments, omega_w, weight, west_through)
-            through(east_moments, omega_e, weight, east_through)
-            through(south_moments[i], omega_s, weight, south_through)
-            through(north_moments, omega_n, weight, north_through)
+                omega_s = face_omega(omega, j + gy - 1, i + gx, 1, 0)
+            through(west_moments, weight, west_through)
+            through(east_moments, weight, east_through)
+            through(south_moments[i], weight, south_through)
+            through(north_moments, weight, north_through)
             for q in range(5):
                 if i == 0:
                     sides[0][j, q] = west_through[q]
@@ -395,15 +413,17 @@ def sweep(  # type: ignore[no-untyped-def]
             else:
                 total_rate = growth[j, i] + beta
             rates[0] = total_rate
-            rates[1] = (omega_e - omega_w) * space.per_dx
-            rates[2] = (omega_n - omega_s) * space.per_dy
-            rates[3], rates[4], rates[5] = beta * ux / here, beta * uy / here, beta * uz / here
-            rates[6], rates[7], rates[8] = grid.per_spacing[0], grid.per_spacing[1], grid.per_spacing[2]
-            fastest = max(omega_w, omega_e) * grid.half_width[0] * space.per_dx
-            fastest += max(omega_s, omega_n) * grid.half_width[1] * space.per_dy
-            turning = abs(total_rate) + abs(rates[1]) * grid.half_width[0] + abs(rates[2]) * grid.half_width[1]
+            for q in range(2):
+                rates[1 + q] = (omega_e[q] - omega_w[q]) * space.per_dx
+                rates[3 + q] = (omega_n[q] - omega_s[q]) * space.per_dy
+            rates[5], rates[6], rates[7] = beta * ux / here, beta * uy / here, beta * uz / here
+            rates[8], rates[9], rates[10] = grid.per_spacing[0], grid.per_spacing[1], grid.per_spacing[2]
+            fastest = max(omega_w[0], omega_w[1], omega_e[0], omega_e[1]) * grid.half_width[0] * space.per_dx
+            fastest += max(omega_s[0], omega_s[1], omega_n[0], omega_n[1]) * grid.half_width[1] * space.per_dy
+            turning = abs(total_rate) + max(abs(rates[1]), abs(rates[2])) * grid.half_width[0]
+            turning += max(abs(rates[3]), abs(rates[4])) * grid.half_width[1]
             for q in range(d):
-                fastest += (turning * grid.half_width[q] + abs(rates[3 + q])) * grid.per_spacing[q]
+                fastest += (turning * grid.half_width[q] + abs(rates[5 + q])) * grid.per_spacing[q]
 
             # transport and drift
             z = depth[j, i] if second else 0.0

@@ -142,7 +142,7 @@ class KineticStepper:
 
     def _cells(self) -> Cells:
         nx, ny = self.domain.local
-        wy, wx = self.domain.ghosts(1)
+        wy, wx = self.domain.ghosts(GHOSTS)
         return Cells(np.ones((ny + 2 * wy, nx + 2 * wx)), np.zeros((ny, nx, 5)), np.zeros((ny, nx, 10)))
 
     @property
@@ -166,7 +166,7 @@ class KineticStepper:
         return g, cells, {name: self._through[SIDES.index(name)] for name in self._far}
 
     def _interior(self, array: np.ndarray) -> np.ndarray:
-        wy, wx = self.domain.ghosts(1)
+        wy, wx = self.domain.ghosts(GHOSTS)
         nx, ny = self.domain.local
         return array[wy : wy + ny, wx : wx + nx]
 
@@ -249,9 +249,9 @@ class KineticStepper:
     def _fill_ghosts(self, g: np.ndarray, cells: Cells) -> None:
         """Ghost cells of g and omega: from the neighbours, then what lies beyond the physical sides."""
         self.domain.exchange(g, GHOSTS)
-        self.domain.exchange(cells.omega[..., None], 1)
+        self.domain.exchange(cells.omega[..., None], GHOSTS)
         nx, ny = self.domain.local
-        wy, wx = self.domain.ghosts(1)
+        wy, wx = self.domain.ghosts(GHOSTS)
         block, row = self.grid.block, self.grid.block * (nx + 2 * self.space.wx)
         first = self.space.wy * row + self.space.wx * block
         along = {"x": row, "y": block}
@@ -259,18 +259,17 @@ class KineticStepper:
             axis, lower = "xy".index(name[0]), name.endswith("lower")
             inward = (block, row)[axis] * (1 if lower else -1)
             inner = first if lower else first + ((nx - 1) * block if axis == 0 else (ny - 1) * row)
-            ghost, inside = (0, 1) if lower else (-1, -2)
-            if axis == 0:
-                omega = cells.omega[wy : wy + ny, inside]
-                cells.omega[wy : wy + ny, ghost] = omega
-            else:
-                omega = cells.omega[inside, wx : wx + nx]
-                cells.omega[ghost, wx : wx + nx] = omega
             boundary = self.job.space.sides[name]
             accommodation = 1.0 if boundary.accommodation is None else float(boundary.accommodation)
             kind = KINDS[boundary.kind]
             if boundary.kind == "maxwell" and accommodation == 0.0:
                 kind = KINDS["specular"]
+            # omega beyond a wall is that of the inner cell; a specular wall mirrors it like the gas
+            field = cells.omega[wy : wy + ny].T if axis == 0 else cells.omega[:, wx : wx + nx]
+            near, far, edge, next_one = (1, 0, 2, 3) if lower else (-2, -1, -3, -4)
+            omega = field[edge].copy()
+            field[near] = omega
+            field[far] = field[next_one] if boundary.kind == "specular" else omega
             sign = 1 if lower else -1
             fill_side(
                 g.reshape(-1),
@@ -283,7 +282,7 @@ class KineticStepper:
                 kind,
                 accommodation,
                 states,
-                omega.copy(),
+                omega,
                 self.grid,
             )
 

@@ -19,7 +19,7 @@ SUMS = 14
 TOLERANCE = 1e-13
 #: mismatch from which one more step is the last: what it leaves is its square
 LAST_STEP = 1e-8
-NEWTON_STEPS = 12
+NEWTON_STEPS = 40
 
 
 @njit(**KERNEL)
@@ -188,6 +188,13 @@ def correct(block, target, dimensions, points_x, slab_size, x, slab, work, sums)
         )
         if attempt == 0:
             first = mismatch
+        if attempt > 0 and previous > LAST_STEP and not mismatch < previous:
+            # too far: half of the step
+            for i in range(5):
+                step[i] *= 0.5
+                coefficients[i] -= step[i]
+            factor_tables(coefficients, centre, points_x, slab_size, x, slab, factor_x, factor_slab)
+            continue
         if not mismatch < 1e100:
             return -1.0
         if mismatch <= TOLERANCE or (attempt > 2 and mismatch < 1e-11 and mismatch >= previous):
@@ -215,7 +222,8 @@ def correct(block, target, dimensions, points_x, slab_size, x, slab, work, sums)
         )
         shorter = 1.0 if reach <= 2.0 else 2.0 / reach
         for i in range(5):
-            coefficients[i] += shorter * step[i]
+            step[i] *= shorter
+            coefficients[i] += step[i]
         factor_tables(coefficients, centre, points_x, slab_size, x, slab, factor_x, factor_slab)
         if mismatch <= LAST_STEP:
             # this step leaves a mismatch of order mismatch^2: no need to look again

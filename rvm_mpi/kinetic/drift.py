@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from numba import njit
 
-from rvm_mpi.simd import KERNEL, load, shifted, splat, store, upwind, van_leer3
+from rvm_mpi.simd import KERNEL, load, shifted, splat, store, upwind, van_leer3, where_positive
 from rvm_mpi.velocity import Y_FACE, Y_OPEN, Y_SLOPE, Z_FACE, Z_OPEN, Z_SLOPE, Y
 
 #: doubles of `scratch` needed in rows of a slab: zeros read before and after each row of a slab
@@ -39,8 +39,9 @@ def update(  # type: ignore[no-untyped-def]
     ----------
     g : (n,) array
         Blocks; this cell's begins at `cell`, which is also its offset in `old`.
-    rates : (9,) array
-        A, d_x omega, d_y omega, beta u_x, beta u_y, beta u_z, then 1/h of the three velocity directions.
+    rates : (11,) array
+        A, d_x omega for velocities that go up and down, d_y omega likewise, beta u_x, beta u_y, beta u_z, then 1/h of
+        the three velocity directions.
     kappa : bool
         Reconstruct with the unlimited third-order upwind-biased parabola instead of Van Leer's limiter.
     scratch : (>= 6 (slab_size + 2 guard),) array
@@ -53,9 +54,9 @@ def update(  # type: ignore[no-untyped-def]
     row = slab_size + 2 * guard
     slope_x, slope_y, slope_z = guard, row + guard, 2 * row + guard
     through_x, through_y, slope_next = 3 * row + guard, 4 * row + guard, 5 * row + guard
-    a, grad_x, grad_y = rates[0], rates[1], rates[2]
-    push_x, push_y, push_z = rates[3] * rates[6], rates[4] * rates[7], rates[5] * rates[8]
-    per_x, per_y, per_z = rates[6], rates[7], rates[8]
+    a, up_x, down_x, up_y, down_y = rates[0], rates[1], rates[2], splat(rates[3]), splat(rates[4])
+    per_x, per_y, per_z = rates[8], rates[9], rates[10]
+    push_x, push_y, push_z = rates[5] * per_x, rates[6] * per_y, rates[7] * per_z
     zero = splat(0.0)
     for n in range(0, slab_size, 8):
         store(scratch, slope_x + n, zero)
@@ -67,11 +68,11 @@ def update(  # type: ignore[no-untyped-def]
         base = cell + k * slab_size
         at = k * slab_size
         xk, xf = x[k], x_face[k]
-        along = a + grad_x * xk
+        along = a + (up_x if xk > 0.0 else down_x) * xk
         inside = 1.0 if k < points_x - 1 else 0.0
         sloped = 1.0 if k < points_x - 2 else 0.0
-        sx0 = inside * per_x * (-(a + grad_x * xf) * xf) + inside * push_x
-        sx1 = -inside * per_x * grad_y * xf
+        sx0 = inside * per_x * (-(a + (up_x if xf > 0.0 else down_x) * xf) * xf) + inside * push_x
+        sx1 = -inside * per_x * xf
         # slopes: of the next slab along x, of this one along y and z
         for n in range(0, slab_size, 8):
             c = load(g, base + n)
@@ -103,13 +104,14 @@ def update(  # type: ignore[no-untyped-def]
                 left, right = middle + left, middle + right
             else:
                 left, right = c + left, up - right
-            f = upwind(y * sx1 + splat(sx0), left, right)
+            turn_y = y * where_positive(y, up_y, down_y)
+            f = upwind(turn_y * sx1 + splat(sx0), left, right)
             r = r + (load(scratch, through_x + n) - f)
             store(scratch, through_x + n, f)
 
             if has_y:
                 yf = load(slab, Y_FACE * slab_size + n)
-                s = yf * splat(-per_y * along) - yf * yf * (per_y * grad_y) + splat(push_y)
+                s = yf * (splat(-along) - yf * where_positive(yf, up_y, down_y)) * per_y + splat(push_y)
                 s = s * load(slab, Y_OPEN * slab_size + n)
                 up = load(g, base + n + points_z)
                 left, right = load(scratch, slope_y + n), load(scratch, slope_y + n + points_z)
@@ -123,7 +125,7 @@ def update(  # type: ignore[no-untyped-def]
                 r = r + (load(scratch, through_y + n - points_z) - f)
             if has_z:
                 zf = load(slab, Z_FACE * slab_size + n)
-                s = zf * (y * (-per_z * grad_y) + splat(-per_z * along)) + splat(push_z)
+                s = zf * (splat(-along) - turn_y) * per_z + splat(push_z)
                 s = s * load(slab, Z_OPEN * slab_size + n)
                 up = load(g, base + n + 1)
                 left, right = load(scratch, slope_z + n), load(scratch, slope_z + n + 1)

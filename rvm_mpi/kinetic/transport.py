@@ -1,8 +1,8 @@
 """div_x (omega xi g): Van Leer's upwind fluxes through the faces between cells.
 
-A face flux is kept as the block omega_face xi_n g_face / h, a rate; its moments (1, xi, |xi|^2) come with it, for they
-carry mass, momentum and energy across the face (`conservation.py`). g is reconstructed upwind with Van Leer's harmonic
-limiter, which keeps g >= 0 for a Courant number up to one half in all directions together.
+A face flux is kept as the block omega_face xi_n g_face / h, a rate; its moments (1, omega xi, omega^2 |xi|^2) come with
+it, for they carry mass, momentum and energy across the face (`conservation.py`). Both g and omega are reconstructed upwind
+with Van Leer's harmonic limiter, which keeps g >= 0 for a Courant number up to one half in all directions together.
 """
 
 from __future__ import annotations
@@ -24,7 +24,9 @@ def upper_fluxes(  # type: ignore[no-untyped-def]
     below,
     x,
     slab,
-    speeds,
+    omegas,
+    per_dx,
+    per_dy,
     west,
     south,
     south_at,
@@ -40,15 +42,19 @@ def upper_fluxes(  # type: ignore[no-untyped-def]
         Blocks of cells; this one's begins at `cell`, its upper neighbours' at cell + along_x and cell + along_y.
     below : int
         Slab nodes with xi_y < 0.
-    speeds : tuple of two floats
-        omega at the upper x and y face over the cell's width; 0 in an unused direction.
+    omegas : tuple of four floats
+        omega at the upper x face as the lower and as the upper cell see it, for velocities that go up and down; then
+        the same of the upper y face.
+    per_dx, per_dy : float
+        1 over the cell's widths; 0 in an unused direction.
     west, south : arrays
         Fluxes through the lower faces, `south` from the offset `south_at`; overwritten with those through the upper
         ones, the next cells' lower faces.
     change : (block,) array
         Receives what enters minus what leaves.
     moments_x, moments_y : (5,) arrays
-        Receive the sums of the upper fluxes times 1, xi_x, xi_y, xi_z, |xi|^2.
+        Receive the sums of the upper fluxes times 1, omega xi_x, omega xi_y, omega xi_z, omega^2 |xi|^2: mass, momentum
+        and twice the energy that cross the face.
 
     Notes
     -----
@@ -60,7 +66,8 @@ def upper_fluxes(  # type: ignore[no-untyped-def]
     p0, px, py, pz, p2 = zero, zero, zero, zero, zero
     for k in range(points_x):
         xk = x[k]
-        rate = speeds[0] * xk
+        omega = omegas[0] if xk > 0.0 else omegas[1]
+        rate = omega * xk * per_dx
         base = cell + k * slab_size
         at = k * slab_size
         if xk > 0.0:
@@ -68,7 +75,7 @@ def upper_fluxes(  # type: ignore[no-untyped-def]
         else:
             here_x, behind_x, ahead_x = base + along_x, base + 2 * along_x, base
         s0, sy, sz, s2 = zero, zero, zero, zero
-        q0, qy, qz, q2 = zero, zero, zero, zero
+        q0, q1, qy, qz, q2, q3 = zero, zero, zero, zero, zero, zero
         for n in range(0, slab_size, 8):
             prefetch(g, base + 3 * along_x + n)
             prefetch(g, base + 2 * along_y + along_x + n)
@@ -89,7 +96,8 @@ def upper_fluxes(  # type: ignore[no-untyped-def]
                 behind = where_positive(y, load(g, base - along_y + n), load(g, base + 2 * along_y + n))
             # a division each: the bits of a face's flux must depend on the cells across that face alone
             f = (u + van_leer(u - load(g, behind_x + n), load(g, ahead_x + n) - u)) * rate
-            h = (v + van_leer(v - behind, ahead - v)) * (y * speeds[1])
+            omega_y = where_positive(y, splat(omegas[2]), splat(omegas[3]))
+            h = (v + van_leer(v - behind, ahead - v)) * (y * omega_y * per_dy)
             difference = (load(west, at + n) - f) + (load(south, south_at + at + n) - h)
             store(west, at + n, f)
             store(south, south_at + at + n, h)
@@ -99,12 +107,17 @@ def upper_fluxes(  # type: ignore[no-untyped-def]
             sy = sy + f * y
             sz = sz + f * z
             s2 = s2 + f * square
+            momentum = h * omega_y
+            energy = momentum * omega_y
             q0 = q0 + h
-            qy = qy + h * y
-            qz = qz + h * z
-            q2 = q2 + h * square
-        m0, mx, my, mz, m2 = m0 + s0, mx + s0 * xk, my + sy, mz + sz, m2 + (s2 + s0 * (xk * xk))
-        p0, px, py, pz, p2 = p0 + q0, px + q0 * xk, py + qy, pz + qz, p2 + (q2 + q0 * (xk * xk))
+            q1 = q1 + momentum
+            qy = qy + momentum * y
+            qz = qz + momentum * z
+            q2 = q2 + energy * square
+            q3 = q3 + energy
+        m0, mx, my, mz = m0 + s0, mx + s0 * (omega * xk), my + sy * omega, mz + sz * omega
+        m2 = m2 + (s2 + s0 * (xk * xk)) * (omega * omega)
+        p0, px, py, pz, p2 = p0 + q0, px + q1 * xk, py + qy, pz + qz, p2 + (q2 + q3 * (xk * xk))
     moments_x[0], moments_x[1], moments_x[2], moments_x[3], moments_x[4] = (
         total(m0),
         total(mx),

@@ -29,9 +29,7 @@ KINDS = {
 def inward_flux(density, normal, temperature):  # type: ignore[no-untyped-def]
     """Mass per area and time that a half-space of Maxwellian gas sends in; `normal` is its inward velocity."""
     s = normal / math.sqrt(2.0 * temperature)
-    return density * (
-        math.sqrt(temperature / (2.0 * math.pi)) * math.exp(-s * s) + 0.5 * normal * (1.0 + math.erf(s))
-    )
+    return density * (math.sqrt(temperature / (2.0 * math.pi)) * math.exp(-s * s) + 0.5 * normal * (1.0 + math.erf(s)))
 
 
 @njit(**KERNEL)
@@ -73,9 +71,7 @@ def fill_side(g, inner, along, inward, count, axis, sign, kind, accommodation, s
         if kind == SPECULAR:
             for k in range(nvx):
                 for j in range(nvy):
-                    mirrored = (
-                        ((nvx - 1 - k) * size + j * nvz) if axis == 0 else (k * size + (nvy - 1 - j) * nvz)
-                    )
+                    mirrored = ((nvx - 1 - k) * size + j * nvz) if axis == 0 else (k * size + (nvy - 1 - j) * nvz)
                     at = k * size + j * nvz
                     for n in range(nvz):
                         g[near + at + n] = g[cell + mirrored + n]
