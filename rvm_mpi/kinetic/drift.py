@@ -54,7 +54,7 @@ def update(  # type: ignore[no-untyped-def]
     row = slab_size + 2 * guard
     slope_x, slope_y, slope_z = guard, row + guard, 2 * row + guard
     through_x, through_y, slope_next = 3 * row + guard, 4 * row + guard, 5 * row + guard
-    a, up_x, down_x, up_y, down_y = rates[0], rates[1], rates[2], splat(rates[3]), splat(rates[4])
+    a, rising_x, falling_x, rising_y, falling_y = rates[0], rates[1], rates[2], splat(rates[3]), splat(rates[4])
     per_x, per_y, per_z = rates[8], rates[9], rates[10]
     push_x, push_y, push_z = rates[5] * per_x, rates[6] * per_y, rates[7] * per_z
     zero = splat(0.0)
@@ -68,10 +68,10 @@ def update(  # type: ignore[no-untyped-def]
         base = cell + k * slab_size
         at = k * slab_size
         xk, xf = x[k], x_face[k]
-        along = a + (up_x if xk > 0.0 else down_x) * xk
+        along = a + (rising_x if xk > 0.0 else falling_x) * xk
         inside = 1.0 if k < points_x - 1 else 0.0
         sloped = 1.0 if k < points_x - 2 else 0.0
-        sx0 = inside * per_x * (-(a + (up_x if xf > 0.0 else down_x) * xf) * xf) + inside * push_x
+        sx0 = inside * per_x * (-(a + (rising_x if xf > 0.0 else falling_x) * xf) * xf) + inside * push_x
         sx1 = -inside * per_x * xf
         # slopes: of the next slab along x, of this one along y and z
         for n in range(0, slab_size, 8):
@@ -104,14 +104,14 @@ def update(  # type: ignore[no-untyped-def]
                 left, right = middle + left, middle + right
             else:
                 left, right = c + left, up - right
-            turn_y = y * where_positive(y, up_y, down_y)
+            turn_y = y * where_positive(y, rising_y, falling_y)
             f = upwind(turn_y * sx1 + splat(sx0), left, right)
             r = r + (load(scratch, through_x + n) - f)
             store(scratch, through_x + n, f)
 
             if has_y:
                 yf = load(slab, Y_FACE * slab_size + n)
-                s = yf * (splat(-along) - yf * where_positive(yf, up_y, down_y)) * per_y + splat(push_y)
+                s = yf * (splat(-along) - yf * where_positive(yf, rising_y, falling_y)) * per_y + splat(push_y)
                 s = s * load(slab, Y_OPEN * slab_size + n)
                 up = load(g, base + n + points_z)
                 left, right = load(scratch, slope_y + n), load(scratch, slope_y + n + points_z)

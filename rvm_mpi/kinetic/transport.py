@@ -2,7 +2,8 @@
 
 A face flux is kept as the block omega_face xi_n g_face / h, a rate; its moments (1, omega xi, omega^2 |xi|^2) come with
 it, for they carry mass, momentum and energy across the face (`conservation.py`). Both g and omega are reconstructed
-upwind with Van Leer's harmonic limiter, which keeps g >= 0 for a Courant number up to one half in all directions together.
+upwind with Van Leer's harmonic limiter, which keeps g >= 0 for a Courant number up to one half in all directions
+together.
 """
 
 from __future__ import annotations

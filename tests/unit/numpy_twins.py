@@ -72,13 +72,24 @@ def half_slope(a, b):
 
 def upwinded(before, down, up, after, speed):
     """g on the face between down and up, from the side the speed comes from."""
-    from_below = down + half_slope(down - before, up - down)
-    from_above = up - half_slope(up - down, after - up)
-    return np.where(speed > 0.0, from_below, from_above)
+    return np.where(speed > 0.0, *both_sides(before, down, up, after))
+
+
+def both_sides(before, down, up, after):
+    """The value on the face between down and up as each of them sees it."""
+    return down + half_slope(down - before, up - down), up - half_slope(up - down, after - up)
+
+
+def signed(up, down, xi):
+    """Of a pair for velocities that go up and down, the one that holds for each xi."""
+    return np.where(xi > 0.0, up, down)
 
 
 def drift_rate(grid, g, turning, gradient, push, kappa=False):
-    """-div_xi (a g), a = -(turning + gradient . xi) xi + push, closed at the edge of the box."""
+    """-div_xi (a g), a = -(turning + gradient . xi) xi + push, closed at the edge of the box.
+
+    gradient: along x and y, each a pair for velocities that go up and down in that direction.
+    """
     rate = np.zeros(g.shape)
     for axis, n in enumerate(grid.points):
         if n == 1:
@@ -88,7 +99,7 @@ def drift_rate(grid, g, turning, gradient, push, kappa=False):
         shape = [1, 1, 1]
         shape[axis] = n - 1
         where[axis] = np.array([v * (2 * i + 2 - n) / n for i in range(n - 1)]).reshape(shape)
-        along = turning + gradient[0] * where[0] + gradient[1] * where[1]
+        along = turning + sum(signed(*gradient[q], where[q]) * where[q] for q in range(2))
         speed = np.broadcast_to(
             -along * where[axis] + push[axis], [*np.array(grid.points) - np.eye(3, dtype=int)[axis]]
         )
@@ -195,18 +206,18 @@ class Twin:
         gradient = []
         for axis, h in enumerate(self.spacing):
             place = 1 - axis
-            w = 0.5 * (omega + np.roll(omega, -1, place))
-            xi = nodes(self.grid)[axis]
+            sides = both_sides(*(np.roll(omega, -k, place) for k in (-1, 0, 1, 2)))
+            xi = nodes(self.grid)[axis] * np.ones(self.grid.points)
+            w = signed(*(side[..., None, None, None] for side in sides), xi)
             cells = [np.roll(g, -k, place) for k in (-1, 0, 1, 2)]
-            flux = (w / h)[..., None, None, None] * xi * upwinded(*cells, xi * np.ones(self.grid.points))
-            carried = self.weight * five_sums(self.grid, flux)
-            carried[..., 1:4] *= w[..., None]
-            carried[..., 4] *= 0.5 * w**2
+            flux = w / h * xi * upwinded(*cells, xi)
+            mass, momentum, energy = (self.weight * five_sums(self.grid, flux * w**power) for power in range(3))
+            carried = np.concatenate([mass[..., :1], momentum[..., 1:4], 0.5 * energy[..., 4:]], axis=-1)
             rate -= flux - np.roll(flux, 1, place)
             moments -= carried - np.roll(carried, 1, place)
-            gradient.append((w - np.roll(w, 1, place)) / h)
-        gradient += [np.zeros(omega.shape)] * (2 - len(gradient))
-        return rate, moments, gradient
+            gradient.append([(side - np.roll(side, 1, place)) / h for side in sides])
+        gradient += [[np.zeros(omega.shape)] * 2] * (2 - len(gradient))
+        return rate, moments, np.array(gradient)
 
     def of_g(self, g, omega):
         """rho, rho u, E of f from the sums of g."""
@@ -297,7 +308,7 @@ class Twin:
         explicit = np.empty(g.shape)
         for at in np.ndindex(*omega.shape):
             push = beta[at] * velocity[at] / omega[at]
-            drift = drift_rate(grid, g[at], turning[at], (gradient[0][at], gradient[1][at]), push, model.kappa)
+            drift = drift_rate(grid, g[at], turning[at], gradient[:, :, at[0], at[1]], push, model.kappa)
             explicit[at] = g[at] + dt * (rate[at] + drift)
         z = depth if second else np.zeros(omega.shape)
         if second:
