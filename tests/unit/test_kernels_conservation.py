@@ -153,6 +153,45 @@ def test_correction_of_a_g_that_dips_below_zero(seed, points):
     assert np.all(np.abs(five(grid, g * factor) - target) <= 1e-12 * 2 * target[0])
 
 
+def plain_newton(grid, g, target, steps):
+    """Mismatch before each Newton step, every step shortened to a reach of 2 but taken whole."""
+    d, one = grid.dimensions, np.ones(grid.points)
+    mean = target[1:4] / target[0]
+    x = [axis - m for axis, m in zip(nodes(grid), mean)]
+    basis = np.array([one, *(one * x[a] for a in range(d)), one * sum(a * a for a in x[:d])])
+    spread = 2.0 * target[4] - target[0] * mean @ mean
+    thermal = np.sqrt(spread / target[0])
+    wanted = np.array([target[0], *np.zeros(d), spread])
+    unit = np.array([target[0], *[target[0] * thermal] * d, spread])
+    theta, mismatch = np.zeros(d + 2), []
+    for _ in range(steps):
+        values = g * np.exp(np.einsum("p,pijk->ijk", theta, basis))
+        lack = wanted - np.einsum("ijk,pijk->p", values, basis)
+        mismatch.append(np.max(np.abs(lack) / unit))
+        step = np.linalg.solve(np.einsum("ijk,pijk,qijk->pq", values, basis, basis), lack)
+        reach = np.abs(step) @ np.array([1.0, *[3.0 * thermal] * d, 9.0 * thermal**2])
+        theta = theta + step * min(1.0, 2.0 / reach)
+    return mismatch
+
+
+@pytest.mark.parametrize(
+    ("points", "before", "after", "speed"),
+    [((16,), 0.3, 0.3, 2.0), ((12, 10), 0.3, 0.3, 2.0), ((12, 10), 1.5, 0.3, 3.0), ((8, 8, 8), 4.0, 1.0, 3.0)],
+)
+def test_steps_that_go_too_far_are_halved(points, before, after, speed):
+    """Three times the gas, far away and of another temperature: full steps make the mismatch larger on the way."""
+    grid, d = make_grid(points, 5.0), len(points)
+    g = np.exp(-0.5 * sum(axis**2 for axis in nodes(grid)) / before)
+    g /= g.sum()
+    target = 3.0 * np.array([1.0, speed, 0.0, 0.0, 0.5 * (d * after + speed**2)])
+    full = np.array(plain_newton(grid, g, target, 12))
+    assert np.any(full[1:] > (1.0 + 1e-6) * full[:-1]) and full[-1] > 1e-11
+    answer, factor, _sums = run_correct(grid, g, target)
+    assert answer == pytest.approx(full[0], rel=1e-12)
+    assert np.all(np.abs(five(grid, g * factor) - target) <= 1e-12 * 2 * target[4])
+    np.testing.assert_allclose(factor, corrected(grid, g, target) / g, rtol=1e-9)
+
+
 @pytest.mark.parametrize(
     ("name", "target"),
     [

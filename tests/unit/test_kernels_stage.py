@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy_twins import SHAPES, Twin, make_grid, pack, random_g, ten_sums
+from numpy_twins import SHAPES, Twin, both_sides, gaussian, make_grid, pack, random_g, ten_sums
 
 from rvm_mpi import stage
 from rvm_mpi.domain import Domain
@@ -102,6 +102,30 @@ def second_of(sums, d):
     return full[:d, :d]
 
 
+@SETTINGS
+@given(values=st.lists(st.floats(0.1, 10.0), min_size=4, max_size=4))
+def test_omega_at_a_face(values):
+    """As the twin has it along x and along y, and the same bits with up and down exchanged."""
+    row = np.random.default_rng(0).uniform(0.5, 2.0, (4, 4))
+    along_x, along_y = row.copy(), row.copy()
+    along_x[2], along_y[:, 2] = values, values
+    found = stage.face_omega(along_x, 2, 1, 0, 1)
+    np.testing.assert_allclose(found, both_sides(*np.array(values)), rtol=1e-14)
+    assert stage.face_omega(along_y, 1, 2, 1, 0) == found
+    assert stage.face_omega(along_x[:, ::-1].copy(), 2, 1, 0, 1) == found[::-1]
+    a, b, c, e = values
+    assert min(a, b, c) <= found[0] <= max(a, b, c) and min(b, c, e) <= found[1] <= max(b, c, e)
+
+
+@pytest.mark.parametrize(
+    ("profile", "sides"),
+    [((1, 2, 3, 4), (2.5, 2.5)), ((1, 1, 2, 2), (1, 2)), ((1, 2, 1, 2), (2, 1)), ((3, 3, 3, 3), (3, 3))],
+)
+def test_omega_at_a_face_by_hand(profile, sides):
+    """Linear: the mean. A jump or an odd-even pattern: what each cell has."""
+    assert stage.face_omega(np.array([profile], dtype=float), 0, 1, 0, 1) == sides
+
+
 # -- whole steps ---------------------------------------------------------------------------------------------
 
 BASE = {"initial": {"state": "uniform"}, "time": {"end": 1.0}, "fluid": {"enabled": False}}
@@ -169,3 +193,72 @@ def test_a_step(name):
             np.testing.assert_allclose(stepper.now.carried, wanted_carried, atol=3e-11)
         sums = ten_sums(stepper.velocity_grid, found)
         np.testing.assert_allclose(stepper.now.sums, sums, atol=max(tolerance, 1e-9) * np.abs(sums).max())
+
+
+# -- a gas that omega must not stir --------------------------------------------------------------------------
+
+
+def rates_of_a_gas_at_rest(omega, points, conservative):
+    """Largest rates of change (of mass, momentum, energy; per width of a cell) in a first stage without collisions.
+
+    The gas has density and temperature 1 everywhere, only omega differs: nothing should happen.
+    """
+    n = omega.size
+    job = Job.from_dict(
+        {
+            **BASE, **GIVEN, "space": {"cells": [n]}, "velocity": {"points": [points], "half_width": 10.0},
+            "collision": {"operator": "none"}, "scheme": {"conservative": conservative},
+        }
+    )  # fmt: skip
+    one = np.ones((1, n))
+    stepper = KineticStepper(job, Domain(job), one, np.zeros((1, n, 1)), omega.reshape(1, n, 1, 1) ** 2)
+    grid, wx = stepper.velocity_grid, stepper.space.wx
+    np.testing.assert_allclose(stepper.omega[0], omega, rtol=1e-15)
+    for i, w in enumerate(omega):
+        stepper.g[0, wx + i] = pack(grid, gaussian(grid, 1.0 / grid.weight, np.zeros(3), np.array([[1.0 / w**2]])))
+    stepper.now.carried[...] = [1.0, 0.0, 0.0, 0.0, 0.5]
+    stepper.refresh_sums()
+    stepper.set_scaling(omega[None], 1.0)
+    stepper.first_stage(0.0)
+    dt = 0.4 / stepper.rate
+    stepper.first_stage(dt)
+    sums = grid.weight * stepper._middle.sums[0]
+    state = np.stack([sums[:, 0], omega * sums[:, 1], 0.5 * omega**2 * sums[:, 4]], axis=-1)
+    if conservative:
+        np.testing.assert_allclose(stepper._middle.carried[0][:, [0, 1, 4]], state, rtol=1e-13, atol=1e-13)
+    return np.abs(state - [1.0, 0.0, 0.5]).max(axis=0) / (dt * n)
+
+
+@pytest.mark.parametrize("conservative", [False, True])
+def test_an_omega_that_jumps_does_not_move_a_gas_at_rest(conservative):
+    """Odd-even omega: each face passes what the half gas of either side sends, but for the sampling of xi > 0.
+
+    The midpoint rule for the integral of omega xi g over xi > 0 is off by h^2 omega g(0)/24 = h^2 omega^2/(24 sqrt(2
+    pi)), g a Gaussian of temperature 1/omega^2, and by terms in h^4; it counts twice, once for each face.
+    """
+    low, high = 0.8, 1.25
+    omega = np.tile([low, high], 4)
+    for points in (64, 128, 256):
+        h = 20.0 / points
+        sampling = 2.0 * h**2 / 24.0 * (high**2 - low**2) / np.sqrt(2.0 * np.pi)
+        mass, momentum, energy = rates_of_a_gas_at_rest(omega, points, conservative)
+        assert mass == pytest.approx(sampling, rel=0.25 * h**2)
+        assert momentum < 1e-12
+        if conservative:
+            assert energy < 0.01 * h**4
+        else:
+            # transport of g and the drift by omega's gradient cancel to first order of the jump alone
+            half = 2.0 / np.sqrt(2.0 * np.pi)  # sum of |xi|^3 omega^3 over xi > 0
+            left = half * high**2 * (1.0 / low**2 - 1.0 / high**2 - 2.0 * (high - low) / high**3)
+            assert energy == pytest.approx(left, rel=h**2)
+
+
+@pytest.mark.parametrize("conservative", [False, True])
+def test_any_omega_hardly_moves_a_gas_at_rest(conservative):
+    """Where the limiter does not vanish, omega and g on a face match to what two reconstructions leave."""
+    omega = np.random.default_rng(0).uniform(0.8, 1.25, 12)
+    assert rates_of_a_gas_at_rest(omega, 128, conservative)[0] < 5e-3
+    # the mean of two cells on their face: half a gas from each side, by the ratios of omega
+    half = 1.0 / np.sqrt(2.0 * np.pi)
+    mean = 0.5 * (omega + np.roll(omega, -1)) * (1.0 / omega - 1.0 / np.roll(omega, -1)) * half
+    assert np.abs(mean - np.roll(mean, 1)).max() > 0.1
