@@ -104,7 +104,7 @@ points = [12, 10]
 [collision]
 operator = "granular-es-bgk"
 knudsen = 0.1
-restitution = 0.9
+restitution = 0.999
 [initial]
 state = "random-density"
 low = 0.5

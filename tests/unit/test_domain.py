@@ -184,4 +184,5 @@ print("good")
 def test_ghosts_are_the_neighbours_cells(mpirun, ranks):
     """In one and two dimensions, periodic and not, every ghost strip is that of the global array; corners stay."""
     done = mpirun(ranks, "-c", EXCHANGE, __file__.rpartition("/")[0])
-    assert (done.returncode, done.stdout) == (0, "good\n" * ranks), done.stderr
+    # ranks may write into each other's lines
+    assert (done.returncode, done.stdout.count("good")) == (0, ranks), done.stderr
