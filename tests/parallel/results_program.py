@@ -76,7 +76,7 @@ def main():
                 try:
                     file.write(snapshot, time, values, shares)
                 except OSError as error:
-                    print(f"CAUGHT {comm.rank} {error}", flush=True)
+                    os.write(1, f"CAUGHT {comm.rank} {error}\n".encode())  # in one piece, for the ranks share a stream
                 limit_file_size(resource.RLIM_INFINITY)
                 continue
             file.write(snapshot, time, values, shares)
@@ -93,4 +93,4 @@ def main():
 try:
     main()
 except OSError as error:
-    print(f"CAUGHT {comm.rank} {error}", flush=True)
+    os.write(1, f"CAUGHT {comm.rank} {error}\n".encode())  # in one piece, for the ranks share a stream
