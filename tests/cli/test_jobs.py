@@ -1,7 +1,6 @@
 """The shipped jobs: each is valid and says how to run it; twins differ only in what they are to compare."""
 
 import math
-import shutil
 import subprocess
 import sys
 from collections.abc import Iterator, Mapping
@@ -106,7 +105,6 @@ def test_shock_jobs_have_the_papers_relaxation_rate(name):
     assert {side.kind for side in job.space.sides.values()} == {"far-field"}
 
 
-@pytest.mark.skipif(shutil.which("shellcheck") is None, reason="shellcheck is not installed")
 @pytest.mark.parametrize("path", SCRIPTS, ids=lambda path: path.name)
 def test_scripts_pass_shellcheck(path):
     command = ["shellcheck", str(path)]

@@ -2,7 +2,6 @@
 
 import math
 import os
-import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -14,8 +13,6 @@ from rvm_mpi import results
 
 PROGRAM = Path(__file__).with_name("results_program.py")
 ROOT = PROGRAM.parents[2]
-
-pytestmark = pytest.mark.skipif(shutil.which("mpirun") is None, reason="needs mpirun")
 
 
 def mpirun(ranks, *arguments, check=True):
