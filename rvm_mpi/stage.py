@@ -167,14 +167,18 @@ def through(moments, weight, flux):  # type: ignore[no-untyped-def]
 
 
 @njit(**KERNEL)
-def face_omega(omega, j, i, down, right):  # type: ignore[no-untyped-def]
+def face_omega(upwind, omega, j, i, down, right):  # type: ignore[no-untyped-def]
     """omega at the upper face of cell (j, i) along (down, right), as this cell and as the next one see it.
 
-    Velocities that go up carry the lower cell's omega, those that go down the upper cell's, each reconstructed with Van
-    Leer's limiter: what crosses a face is then what the gas of that side sends, however much omega jumps.
+    Upwind where the moments are carried by the fluxes: velocities that go up carry the lower cell's omega, those that
+    go down the upper cell's, each reconstructed with Van Leer's limiter, so that what crosses a face is what the gas of
+    that side sends, however much omega jumps. Without carried moments nothing but the drift takes back what a jump of
+    omega does to g, and it does so best with the mean.
     """
-    a, b = omega[j - down, i - right], omega[j, i]
-    c, e = omega[j + down, i + right], omega[j + 2 * down, i + 2 * right]
+    b, c = omega[j, i], omega[j + down, i + right]
+    if not upwind:
+        return 0.5 * (b + c), 0.5 * (b + c)
+    a, e = omega[j - down, i - right], omega[j + 2 * down, i + 2 * right]
     return b + limited(b - a, c - b), c - limited(c - b, e - c)
 
 
@@ -326,9 +330,9 @@ def sweep(  # type: ignore[no-untyped-def]
             omega_w, omega_e, omega_s, omega_n = (here, here), (here, here), (here, here), (here, here)
             across_x, across_y = space.dimensions >= 1 and j >= 0, space.dimensions == 2 and i >= 0
             if across_x:
-                omega_e = face_omega(omega, j + gy, i + gx, 0, 1)
+                omega_e = face_omega(model.conservative, omega, j + gy, i + gx, 0, 1)
             if across_y:
-                omega_n = face_omega(omega, j + gy, i + gx, 1, 0)
+                omega_n = face_omega(model.conservative, omega, j + gy, i + gx, 1, 0)
             upper_fluxes(
                 g,
                 cell,
@@ -356,9 +360,9 @@ def sweep(  # type: ignore[no-untyped-def]
                 west_moments[:5] = east_moments[:5]
                 continue
             if across_x:
-                omega_w = face_omega(omega, j + gy, i + gx - 1, 0, 1)
+                omega_w = face_omega(model.conservative, omega, j + gy, i + gx - 1, 0, 1)
             if across_y:
-                omega_s = face_omega(omega, j + gy - 1, i + gx, 1, 0)
+                omega_s = face_omega(model.conservative, omega, j + gy - 1, i + gx, 1, 0)
             through(west_moments, weight, west_through)
             through(east_moments, weight, east_through)
             through(south_moments[i], weight, south_through)

@@ -206,7 +206,8 @@ class Twin:
         gradient = []
         for axis, h in enumerate(self.spacing):
             place = 1 - axis
-            sides = both_sides(*(np.roll(omega, -k, place) for k in (-1, 0, 1, 2)))
+            near = [np.roll(omega, -k, place) for k in (-1, 0, 1, 2)]
+            sides = both_sides(*near) if self.model.conservative else [0.5 * (near[1] + near[2])] * 2
             xi = nodes(self.grid)[axis] * np.ones(self.grid.points)
             w = signed(*(side[..., None, None, None] for side in sides), xi)
             cells = [np.roll(g, -k, place) for k in (-1, 0, 1, 2)]

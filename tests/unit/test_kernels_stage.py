@@ -109,11 +109,12 @@ def test_omega_at_a_face(values):
     row = np.random.default_rng(0).uniform(0.5, 2.0, (4, 4))
     along_x, along_y = row.copy(), row.copy()
     along_x[2], along_y[:, 2] = values, values
-    found = stage.face_omega(along_x, 2, 1, 0, 1)
+    found = stage.face_omega(True, along_x, 2, 1, 0, 1)
     np.testing.assert_allclose(found, both_sides(*np.array(values)), rtol=1e-14)
-    assert stage.face_omega(along_y, 1, 2, 1, 0) == found
-    assert stage.face_omega(along_x[:, ::-1].copy(), 2, 1, 0, 1) == found[::-1]
+    assert stage.face_omega(True, along_y, 1, 2, 1, 0) == found
+    assert stage.face_omega(True, along_x[:, ::-1].copy(), 2, 1, 0, 1) == found[::-1]
     a, b, c, e = values
+    assert stage.face_omega(False, along_x, 2, 1, 0, 1) == (0.5 * (b + c), 0.5 * (b + c))
     assert min(a, b, c) <= found[0] <= max(a, b, c) and min(b, c, e) <= found[1] <= max(b, c, e)
 
 
@@ -123,7 +124,7 @@ def test_omega_at_a_face(values):
 )
 def test_omega_at_a_face_by_hand(profile, sides):
     """Linear: the mean. A jump or an odd-even pattern: what each cell has."""
-    assert stage.face_omega(np.array([profile], dtype=float), 0, 1, 0, 1) == sides
+    assert stage.face_omega(True, np.array([profile], dtype=float), 0, 1, 0, 1) == sides
 
 
 # -- whole steps ---------------------------------------------------------------------------------------------
