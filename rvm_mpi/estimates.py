@@ -5,6 +5,7 @@ Estimates look at the initial state alone and say so; nothing here starts MPI.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from math import ceil, gamma, inf, isfinite, log1p, pi, prod, sqrt
 from typing import TYPE_CHECKING
@@ -344,15 +345,22 @@ def steps(job: Job) -> float:
 
     Where the grid is rescaled they grow as the gas cools by Haff's law.
     """
-    first, end = first_step(job), job.time.end
-    number = end / first.later
-    if job.scaling.kind != "none" and job.time.dt is None and not job.collision.elastic:
-        start = start_fields(job)
-        haff = job.collision.cooling * float((start.density * np.sqrt(start.temperature)).mean())
-        number = log1p(haff * end) / haff / first.later
+    number = stretched_time(job)(job.time.end) / first_step(job).later
     if job.time.max_steps is not None:
         number = min(number, job.time.max_steps)
     return max(1.0, number)
+
+
+def stretched_time(job: Job) -> Callable[[float], float]:
+    """A function of time that grows about as fast as the number of steps: log(1 + a t)/a where steps grow as 1 + a t.
+
+    They do where the grid shrinks with a gas that cools by Haff's law, T = T(0)/(1 + a t)^2.
+    """
+    if job.scaling.kind == "none" or job.time.dt is not None or job.collision.elastic:
+        return lambda time: time
+    start = start_fields(job)
+    haff = job.collision.cooling * float((start.density * np.sqrt(start.temperature)).mean())
+    return lambda time: log1p(haff * time) / haff
 
 
 def run_seconds(job: Job, ranks: int = 1, seconds_per_cell: float = SECONDS_PER_CELL) -> float:

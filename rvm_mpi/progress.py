@@ -26,6 +26,7 @@ class Progress:
     log : a second stream that always gets plain lines, such as run.log
     ranks, stages : cores in use and stages of a time step, for the last line's throughput
     start_time, start_step : where a restarted run begins
+    stretched : function of time that grows as the number of steps (`estimates.stretched_time`); time itself if None
     now : clock in seconds, replaced in tests
     """
 
@@ -38,9 +39,11 @@ class Progress:
         stages: int = 2,
         start_time: float = 0.0,
         start_step: int = 0,
+        stretched: Callable[[float], float] | None = None,
         now: Callable[[], float] = clock.perf_counter,
     ):
         self._end = float(job.time.end)
+        self._stretched = stretched or (lambda time: time)
         self._max_steps = job.time.max_steps
         self._cells = prod(job.space.cells) * prod(job.velocity.points)
         self._ranks, self._stages = ranks, stages
@@ -133,10 +136,11 @@ class Progress:
         return self._cells * (step1 - step0) / max(wall1 - wall0, 1e-9)
 
     def _time_left(self) -> float:
-        """Seconds to the end at the recent speed, whichever end comes first."""
+        """Seconds to the end at the recent speed, whichever end comes first; steps grow as a gas cools."""
         (wall0, step0, time0), (wall1, step1, time1) = self._recent[0], self._recent[-1]
         wall = wall1 - wall0
-        left = wall * (self._end - time1) / (time1 - time0) if time1 > time0 else float("inf")
+        before, now, end = (self._stretched(time) for time in (time0, time1, self._end))
+        left = wall * (end - now) / (now - before) if now > before else float("inf")
         if self._max_steps and step1 > step0:
             left = min(left, wall * (self._max_steps - step1) / (step1 - step0))
         return max(left, 0.0)

@@ -25,6 +25,7 @@ from rvm_mpi import checkpoint, rundir
 from rvm_mpi.checkpoint import Checkpoint, DiskFailure
 from rvm_mpi.control import Control
 from rvm_mpi.domain import Domain
+from rvm_mpi.estimates import stretched_time
 from rvm_mpi.exact_sum import exact_sums
 from rvm_mpi.fluid import FluidSystem
 from rvm_mpi.job import Job, JobError
@@ -573,7 +574,10 @@ class Run:
         progress = None
         if self.head:
             stream = None if self.quiet else sys.stderr
-            progress = Progress(sim.job, stream, self.log, self.comm.size, start_time=sim.time, start_step=sim.number)
+            progress = Progress(
+                sim.job, stream, self.log, self.comm.size, start_time=sim.time, start_step=sim.number,
+                stretched=stretched_time(sim.job),
+            )  # fmt: skip
         stopped = ""
         try:
             if self.saved is None:

@@ -3,6 +3,7 @@
 import io
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from rvm_mpi.progress import Progress, _count, _duration
@@ -52,6 +53,18 @@ def test_a_line_says_everything():
         "200 k cells/s",
     ):
         assert part in line
+
+
+def test_time_left_knows_that_steps_grow():
+    """Steps that grow as 1 + t, a second each: from t = 0 to e^2 - 1 in 200 of them, whenever one asks."""
+    clock, out = Clock(), io.StringIO()
+    end, growth = np.expm1(2.0), np.expm1(0.01)
+    progress = Progress(job(end=end), out, stretched=np.log1p, now=clock)
+    time = 0.0
+    for step in range(1, 4):
+        dt = (1.0 + time) * growth
+        time = run(progress, clock, steps=1, seconds=1.0, dt=dt, first=step, time=time)
+        assert f", {_duration(200.0 - step)} left" in out.getvalue().splitlines()[-1]
 
 
 def test_first_steps_then_every_ten_seconds_then_the_last():
