@@ -179,11 +179,12 @@ def _density(run, history):
         for axis, measure in ((left, variance), (right, deviation)):
             axis.axhline(measure(run, "kinetic")[0], color="grey", lw=0.7, ls=":", label="kinetic at $t = 0$")
             axis.set_xscale("log")
+            if all(measure(run, model)[shown].min() > 0 for model in common.models(run)):
+                axis.set_yscale("log")
     left.set_ylabel("variance of the density")
-    left.set_ylim(bottom=0)
+    if left.get_yscale() == "linear":
+        left.set_ylim(bottom=0)
     right.set_ylabel(r"mean of $|\rho - \overline{\rho}|$")
-    if len(time) > FEWEST_FOR_A_FIT and deviation(run, "kinetic")[shown].min() > 0:
-        right.set_yscale("log")
     for axis in (left, right):
         axis.set_xlabel("$t$")
         axis.legend()
