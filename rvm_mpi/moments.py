@@ -7,25 +7,20 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-from rvm_mpi.kinetic.conservation import weighted_sums
+from rvm_mpi.kinetic.conservation import SUMS, weighted_sums
 from rvm_mpi.simd import KERNEL
 
 
 @njit(**KERNEL)
-def _central_third(g, space, grid, sums, powers, ones_x, ones_slab, result):  # type: ignore[no-untyped-def]
-    """Sums of c |c|^2, c = xi - mean, over the nodes of each cell: result (ny, nx, 3)."""
-    out = np.zeros(14)
-    centre = np.zeros(3)
+def _sums_about(g, space, grid, centres, powers, ones_x, ones_slab, result):  # type: ignore[no-untyped-def]
+    out = np.zeros(SUMS)
     row = (space.nx + 2 * space.wx) * grid.block
     for j in range(space.ny):
         for i in range(space.nx):
             cell = (j + space.wy) * row + (i + space.wx) * grid.block
-            for q in range(3):
-                centre[q] = sums[j, i, 1 + q] / sums[j, i, 0]
-            block = g[cell : cell + grid.block]
             weighted_sums(
-                block,
-                centre,
+                g[cell : cell + grid.block],
+                centres[j, i],
                 grid.points[0],
                 grid.slab_size,
                 grid.x,
@@ -35,34 +30,25 @@ def _central_third(g, space, grid, sums, powers, ones_x, ones_slab, result):  # 
                 powers,
                 out,
             )
-            for q in range(3):
-                result[j, i, q] = out[10 + q]
-
-
-@njit(**KERNEL)
-def all_sums(g, space, grid, powers, ones_x, ones_slab, result):  # type: ignore[no-untyped-def]
-    """Sums of 1, xi, xi xi over the nodes of each cell: result (ny, nx, 10)."""
-    out = np.zeros(14)
-    centre = np.zeros(3)
-    row = (space.nx + 2 * space.wx) * grid.block
-    for j in range(space.ny):
-        for i in range(space.nx):
-            cell = (j + space.wy) * row + (i + space.wx) * grid.block
-            block = g[cell : cell + grid.block]
-            weighted_sums(
-                block,
-                centre,
-                grid.points[0],
-                grid.slab_size,
-                grid.x,
-                grid.slab,
-                ones_x,
-                ones_slab,
-                powers,
-                out,
-            )
-            for q in range(10):
+            for q in range(SUMS):
                 result[j, i, q] = out[q]
+
+
+def sums_about(g: np.ndarray, space: Any, grid: Any, centres: np.ndarray) -> np.ndarray:
+    """Sums over the nodes of each cell, about its centre (ny, nx, 3), in the order of `conservation.SUMS`.
+
+    Parameters
+    ----------
+    g : ghosted blocks (ny + 2 wy, nx + 2 wx, block)
+
+    Returns
+    -------
+    (ny, nx, 14) array
+    """
+    result = np.empty((space.ny, space.nx, SUMS))
+    powers, ones_x, ones_slab = np.zeros(5 * grid.points[0]), np.ones(grid.points[0]), np.ones(grid.slab_size)
+    _sums_about(g.reshape(-1), space, grid, centres, powers, ones_x, ones_slab, result)
+    return result
 
 
 def tensor_from_sums(sums: np.ndarray, d: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -101,9 +87,7 @@ def fields(
     """
     d = grid.dimensions
     density, mean, tensor = tensor_from_sums(sums, d)
-    third = np.empty((*density.shape, 3))
-    powers, ones_x, ones_slab = np.zeros(5 * grid.points[0]), np.ones(grid.points[0]), np.ones(grid.slab_size)
-    _central_third(g.reshape(-1), space, grid, sums, powers, ones_x, ones_slab, third)
+    third = sums_about(g, space, grid, sums[..., 1:4] / density[..., None])[..., 10:13]
     w = omega[..., None]
     return {
         "density": density * grid.weight,
