@@ -135,7 +135,7 @@ def _output(options: argparse.Namespace) -> Path:
 def _run(options: argparse.Namespace) -> int:
     from rvm_mpi import rundir
     from rvm_mpi.domain import partition
-    from rvm_mpi.estimates import check_box
+    from rvm_mpi.estimates import check_box, check_weights
     from rvm_mpi.job import Job
 
     job = Job.from_file(options.job, options.set)
@@ -145,6 +145,7 @@ def _run(options: argparse.Namespace) -> int:
         rundir.check_restart(output, job)
     partition(job.space.cells, failures.launched_size())
     check_box(job)
+    check_weights(job)
 
     from rvm_mpi.simulation import run_job
 
@@ -168,11 +169,12 @@ def _check(options: argparse.Namespace) -> int:
         raise JobError("check: give a job file, or --states (see rvm check --help)")
     lines: list[str] = []
     if options.job is not None:
-        from rvm_mpi.estimates import check_box
+        from rvm_mpi.estimates import check_box, check_weights
         from rvm_mpi.job import Job
 
         job = Job.from_file(options.job, options.set)
         check_box(job)
+        check_weights(job)
         lines += _check_lines(job, options.job, options.ranks or failures.launched_size())
     if options.states:
         lines += [*([""] if lines else []), *describe_states()]
@@ -213,7 +215,8 @@ def _grid_lines(job: Job, ranks: int) -> Iterator[str]:
     yield _row(
         "memory per rank",
         f"{words(size.total)}: distribution {words(size.g)}, fluxes {words(size.fluxes)}, "
-        f"fields {words(size.fields)}, program and libraries {words(size.libraries)}",
+        + (f"Boltzmann operator {words(size.operator)}, " if size.operator else "")
+        + f"fields {words(size.fields)}, program and libraries {words(size.libraries)}",
     )
 
 

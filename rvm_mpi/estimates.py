@@ -5,6 +5,7 @@ Estimates look at the initial state alone and say so; nothing here starts MPI.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from math import ceil, gamma, inf, isfinite, log1p, pi, prod, sqrt
@@ -13,6 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from rvm_mpi import kinetic_theory
+from rvm_mpi.collisions.boltzmann_weights import SUPPORT, weight_bytes
 from rvm_mpi.job_text import JobError
 from rvm_mpi.states import macroscopic_state
 
@@ -27,6 +29,10 @@ STAGES = 2
 GHOSTS_OF_G = 2
 GHOSTS_OF_FLUID = 3
 LANES = 8
+EXPLICIT_COLLISIONS = 0.2
+"""Mean collisions in a step of an explicit operator; fast particles have a few times as many."""
+MAKING_WEIGHTS = 8
+"""Memory that making the Boltzmann operator's weights takes for a moment, over that of the weights."""
 STANDARD_DEVIATIONS = 3.0
 """A box must hold the state this many thermal speeds around its mean velocity: one in 400 lies outside."""
 ROWS_AT_ONCE = 2**18
@@ -174,6 +180,8 @@ class Memory:
     """Two ghosted copies of g."""
     fluxes: float
     """A row of fluxes and the cells in hand."""
+    operator: float
+    """The Boltzmann operator: its weights, while they are made, and the rate of g."""
     fields: float
     """Macroscopic fields: moments, omega, the fluid system's stages, what is written."""
     libraries: float
@@ -181,7 +189,7 @@ class Memory:
     @property
     def total(self) -> float:
         """All of it."""
-        return self.g + self.fluxes + self.fields + self.libraries
+        return self.g + self.fluxes + self.operator + self.fields + self.libraries
 
 
 def memory(job: Job, ranks: int = 1) -> Memory:
@@ -205,11 +213,44 @@ def memory(job: Job, ranks: int = 1) -> Memory:
         return (n_x + 2 * wx) * (n_y + 2 * wy)
 
     per_cell = 4 * (d + 2) + d * (d + 3) + 20
+    operator = 0.0
+    if job.collision.operator == "boltzmann":
+        operator = 8.0 * (n_x * n_y + 60) * block + MAKING_WEIGHTS * weight_bytes(tuple(job.velocity.points))
     return Memory(
+        operator=operator,
         g=2 * 8.0 * ghosted(GHOSTS_OF_G) * block,
         fluxes=8.0 * (n_x + 4) * block if job.space.dimensions == 2 else 8.0 * 4 * block,
         fields=8.0 * ghosted(GHOSTS_OF_FLUID) * per_cell,
         libraries=LIBRARIES,
+    )
+
+
+def check_weights(job: Job, available: float | None = None) -> None:
+    """Refuse a Boltzmann operator whose weights do not fit into this machine's memory.
+
+    Raises
+    ------
+    JobError
+        With their size and the largest grid of the same shape that would fit.
+    """
+    if job.collision.operator != "boltzmann":
+        return
+    if available is None:
+        available = float(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))
+    points = tuple(job.velocity.points)
+
+    def needed(points: tuple[int, ...]) -> float:
+        return float(MAKING_WEIGHTS * weight_bytes(points))
+
+    if needed(points) <= available:
+        return
+    fitting = points
+    while needed(fitting) > available:
+        fitting = tuple(max(4, int(0.9 * n) // 2 * 2) for n in fitting)
+    raise JobError(
+        f"velocity.points: the Boltzmann operator's weights do not fit (value {list(points)}: "
+        f"{bytes_in_words(weight_bytes(points))} and {MAKING_WEIGHTS} times that while they are made, of "
+        f"{bytes_in_words(available)}; allowed such as {list(fitting)})"
     )
 
 
@@ -264,6 +305,7 @@ def first_step(job: Job) -> FirstStep:
     energy = d * start.temperature + (start.velocity**2).sum(-1)
     cooling = float((2 * haff * d * start.temperature / energy).max())
     fluid = _fluid_rate(job, start)
+    collisions = float(explicit_rate(job, start.density, start.temperature, start.omega).max())
 
     limits = {"time.end: nothing else limits the step": job.time.end}
     if job.time.cfl is None:
@@ -276,6 +318,7 @@ def first_step(job: Job) -> FirstStep:
         mostly = "transport in space" if transport[worst] >= drift[worst] else "drift in velocity"
         limits[f"time.cfl, mostly {mostly}"] = job.time.cfl / rate if rate > 0 else inf
         limits["cooling (a tenth of the energy a step)"] = 0.1 / cooling if cooling > 0 else inf
+        limits["collisions, taken explicitly"] = 1 / collisions if collisions > 0 else inf
         if job.fluid.enabled:
             limits["the fluid system's waves"] = 0.5 / fluid if fluid > 0 else inf
         lasting = float((transport + drag).max())
@@ -444,6 +487,21 @@ def collision_frequency(job: Job, density: np.ndarray, temperature: np.ndarray) 
         mean_power = (4 * temperature) ** (power / 2) * gamma((d + power) / 2) / gamma(d / 2)
         rate = density * collision.cross_section * kinetic_theory.sphere_area(d) * mean_power
     return rate / collision.knudsen
+
+
+def explicit_rate(job: Job, density: np.ndarray, temperature: np.ndarray, omega: np.ndarray) -> np.ndarray:
+    """One over the longest step of an explicit Boltzmann operator, in each cell; zero for other operators.
+
+    So many mean collisions as `EXPLICIT_COLLISIONS`, and one of the fastest pair that the operator knows, 2 R apart.
+    """
+    collision, d = job.collision, job.velocity.dimensions
+    if collision.operator != "boltzmann":
+        return np.zeros_like(density)
+    assert collision.cross_section is not None and collision.exponent is not None and collision.knudsen is not None
+    widest = 2.0 * SUPPORT * job.velocity.half_width[0] * omega
+    fastest = collision.cross_section * kinetic_theory.sphere_area(d) / collision.knudsen * density
+    mean = collision_frequency(job, density, temperature)
+    return np.maximum(mean / EXPLICIT_COLLISIONS, fastest * widest**collision.exponent)
 
 
 def duration_in_words(seconds: float) -> str:

@@ -83,6 +83,20 @@ def _check_choices(job: Job) -> None:
         raise KeyProblem(
             "fluid.enabled", 'scaling.kind = "macroscopic" takes omega from the fluid system', False, "true"
         )
+    if job.collision.operator == "boltzmann":
+        if len(set(job.velocity.half_width)) > 1:
+            raise KeyProblem(
+                "velocity.half_width",
+                "the Boltzmann operator needs the same in each direction",
+                job.velocity.half_width,
+                "one number",
+            )
+        if min(job.velocity.points) < 4:
+            raise KeyProblem(
+                "velocity.points", "too few for the Boltzmann operator", job.velocity.points, "4 or more each"
+            )
+        if job.collision.method == "fast":
+            raise KeyProblem("collision.method", "not in this version", "fast", '"direct"')
     if kind == "kinetic" and not job.scheme.conservative and job.space.dimensions > 0:
         raise KeyProblem(
             "scheme.conservative",

@@ -229,6 +229,27 @@ def shifted(typingctx, previous, vector):  # type: ignore[no-untyped-def]
     return vector8(vector8, vector8), codegen
 
 
+def _shuffle(first: list[int], second: list[int]) -> Any:
+    @intrinsic
+    def operation(typingctx, a, b):  # type: ignore[no-untyped-def]
+        def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
+            parts = [
+                builder.shuffle_vector(args[0], args[1], ir.Constant(_LANE_INDEX, lanes)) for lanes in (first, second)
+            ]
+            return context.make_tuple(builder, signature.return_type, parts)
+
+        return types.UniTuple(vector8, 2)(vector8, vector8), codegen
+
+    return operation
+
+
+_PAIRS = [place for lane in range(LANES) for place in (lane, LANES + lane)]
+#: the even and the odd lanes of a and b, one behind the other: real and imaginary parts of eight complex numbers
+apart = _shuffle(list(range(0, 2 * LANES, 2)), list(range(1, 2 * LANES, 2)))
+#: `apart` back again: a0, b0, a1, b1, ...
+together = _shuffle(_PAIRS[:LANES], _PAIRS[LANES:])
+
+
 @intrinsic
 def upwind(typingctx, speed, left, right):  # type: ignore[no-untyped-def]
     """speed * left where speed > 0, else speed * right."""

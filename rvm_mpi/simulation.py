@@ -36,6 +36,8 @@ from rvm_mpi.stepping import KineticStepper, NumericalFailure, StepReport
 SLACK = 1.02
 #: largest relative change of a cell's energy by dissipation in one step
 COOLING_CHANGE = 0.1
+#: a step shorter than this part of the end time leads nowhere
+COLLAPSED = 1e-12
 #: the fluid's own Courant number, up to which it keeps density and temperature positive
 FLUID_CFL = 0.5
 
@@ -149,6 +151,11 @@ class Simulation:
         """One time step."""
         dt, limit = self._step_length()
         dt, reached = self._fit_to_stops(dt)
+        if dt < COLLAPSED * self.job.time.end and reached is None:
+            raise NumericalFailure(
+                f"the time step has collapsed to {dt:.3g}, limited by {limit}; step {self.number + 1} from t = "
+                f"{self.time:.6g}"
+            )
         cfl = self.job.time.cfl  # None where the job fixes dt
         saved = None if self.fluid is None else self.fluid.state.copy()
         while True:
@@ -183,6 +190,9 @@ class Simulation:
             "dissipation": COOLING_CHANGE / self._cooling_rate if self._cooling_rate > 0 else math.inf,
             "end": time.end - self.time,
         }
+        collisions = self.kinetic.collision_rate
+        if collisions > 0:
+            limits["collisions"] = 1.0 / collisions
         if self.fluid is not None:
             rate = self.domain.maximum(self.fluid.max_rate())[0]
             limits["fluid"] = FLUID_CFL / rate if rate > 0 and self.domain.dimensions else math.inf

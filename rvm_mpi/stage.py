@@ -62,6 +62,7 @@ class Model(NamedTuple):
 
     kinetic: bool
     conservative: bool
+    source: bool
     kappa: bool
     collisions: bool
     nu: float
@@ -269,6 +270,8 @@ def sweep(  # type: ignore[no-untyped-def]
     growth,
     omega_end,
     depth,
+    source,
+    heating,
     diagnostics,
     sides,
     work,
@@ -290,6 +293,9 @@ def sweep(  # type: ignore[no-untyped-def]
         ln(omega^(n+1)/omega^n)/dt and omega^(n+1), where the scaling does not follow from the kinetic moments.
     depth : (ny, nx) array
         Relaxation depth dt tau/eps averaged over the step; the first stage writes it, the second reads it.
+    source, heating : flat array, (ny, nx) array
+        Rate of g by an operator that is taken explicitly, blocks without ghosts, and the rate of f's energy with it;
+        read where `model.source` is set.
     diagnostics : (ny, nx, 8) array
         Receives the columns named at the top of this module.
     sides : tuple of four (n, 5) arrays
@@ -314,6 +320,7 @@ def sweep(  # type: ignore[no-untyped-def]
     west_through, north_through, south_through, east_through = v[3], v[4], v[5], v[6]
     target, sums, m0, wanted, tensor, centre, fitted = v[7], v[8], v[9], v[10], v[11], v[12], v[13]
     factor_x, factor_slab = work.correction[0], work.correction[1]
+    carries = model.kinetic or model.conservative
     for n in range(0, block, 8):
         store(west, n, splat(0.0))
     for n in range(0, nx * block, 8):
@@ -382,9 +389,12 @@ def sweep(  # type: ignore[no-untyped-def]
                 east_through[q] = (west_through[q] - east_through[q]) + (south_through[q] - north_through[q])
             rate = east_through
 
+            if model.source:
+                rate[4] += heating[j, i]
+
             # the state at the beginning of this stage, in f's units
             old = stage.carried[j, i]
-            if model.conservative:
+            if carries:
                 density, energy = old[0], old[4]
                 ux, uy, uz = old[1] / density, old[2] / density, old[3] / density
             else:
@@ -449,12 +459,17 @@ def sweep(  # type: ignore[no-untyped-def]
                 work.scratch,
                 result,
             )
+            if model.source:
+                at = (j * nx + i) * block
+                for n in range(0, block, 8):
+                    store(result, n, load(result, n) + load(source, at + n) * (weight_new * dt))
 
             # the carried moments at the end of the stage
             first = start.sums[j, i]
             dissipated = 0.0
             mismatch = 0.0
-            if model.conservative:
+            omega_new = omega_end[j, i]
+            if carries:
                 u = new.carried[j, i]
                 for q in range(5):
                     u[q] = old[q] + dt * rate[q]
@@ -480,13 +495,13 @@ def sweep(  # type: ignore[no-untyped-def]
                 if not (u[0] > 0.0 and u[4] > 0.5 * (u[1] ** 2 + u[2] ** 2 + u[3] ** 2) / u[0]):
                     diagnostics[j, i, STATUS] = NOT_POSITIVE
                     continue
-                omega_new = math.sqrt(2.0 * u[4] / (d * u[0])) if model.kinetic else omega_end[j, i]
+                if model.kinetic:
+                    omega_new = math.sqrt(2.0 * u[4] / (d * u[0]))
                 wanted[0] = u[0] / weight
                 for q in range(3):
                     wanted[1 + q] = u[1 + q] / (weight * omega_new)
                 wanted[4] = u[4] / (weight * omega_new * omega_new)
-            else:
-                omega_new = omega_end[j, i]
+            if not model.conservative:
                 for k in range(points_x):
                     factor_x[k] = 1.0
                 for n in range(0, slab_size, 8):
@@ -505,8 +520,13 @@ def sweep(  # type: ignore[no-untyped-def]
                     work.correction[2],
                     sums,
                 )
-                before = cooled(thermal, density, d, model.cooling, -dt if second else dt)
-                dissipated = 0.5 * abs(thermal - before)
+                if not carries:
+                    before = cooled(thermal, density, d, model.cooling, -dt if second else dt)
+                    dissipated = 0.5 * abs(thermal - before)
+            cooling_rate = 2.0 * beta * thermal / energy
+            if model.source:
+                dissipated = -0.5 * dt * heating[j, i]
+                cooling_rate = abs(heating[j, i]) / energy
             for q in range(4):
                 m0[q] = first[q]
             m0[4] = 0.5 * (first[4] + first[7] + first[9])
@@ -607,5 +627,5 @@ def sweep(  # type: ignore[no-untyped-def]
             diagnostics[j, i, GAUSSIANS_REPLACED] = replaced
             diagnostics[j, i, RATE] = fastest
             diagnostics[j, i, DISSIPATED] = dissipated
-            diagnostics[j, i, COOLING_RATE] = 2.0 * beta * thermal / energy
+            diagnostics[j, i, COOLING_RATE] = cooling_rate
             diagnostics[j, i, STATUS] = status

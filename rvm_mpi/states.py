@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from rvm_mpi.job_schema import INITIAL_STATES, Section
+from rvm_mpi.job_schema import INITIAL_STATES, Bkw, Section, TwoGaussians
 from rvm_mpi.job_text import JobError
 
 if TYPE_CHECKING:
@@ -334,6 +334,39 @@ def two_gaussians(state: Any, block: Block) -> Fields:
 def bkw(state: Any, block: Block) -> Fields:
     """Moments of the exact solution for Maxwell molecules: unit density and temperature, at rest."""
     return block.fields(1.0, 0.0, 1.0)
+
+
+def distribution(job: Job) -> Callable[..., np.ndarray] | None:
+    """f at the start as a function of velocity, where it is no Gaussian: takes an array for each direction.
+
+    The moments are those of `macroscopic_state`, density one.
+    """
+    d, state = job.velocity.dimensions, job.initial
+    if isinstance(state, TwoGaussians):
+        sigma = state.sigma
+
+        def two(*v: np.ndarray) -> np.ndarray:
+            return 0.5 * sum(
+                np.exp(-0.5 * sum(((c + sign * sigma) / sigma) ** 2 for c in v)) / (2 * np.pi * sigma**2) ** (d / 2)
+                for sign in (-1.0, 1.0)
+            )
+
+        return two
+    if isinstance(state, Bkw):
+        return lambda *v: bkw_solution(d, d / (d + 2), sum(c * c for c in v))
+    return None
+
+
+def bkw_solution(d: int, spread: float, square: np.ndarray) -> np.ndarray:
+    """The solution of Bobylev, Krook and Wu for elastic Maxwell molecules, at |v|^2 = square.
+
+    f = (2 pi K)^(-d/2) exp(-|v|^2/(2 K)) (1 + (1 - K)/K (|v|^2/(2 K) - d/2)), density and temperature one, at rest.
+    1 - K decays as exp(-b |S^(d-1)| (d - 1) t/(4 d eps)) from 2/(d + 2) or less, where f(0) = 0, at time 0.
+    """
+    reduced = square / (2 * spread)
+    return (
+        (2 * np.pi * spread) ** (-d / 2) * np.exp(-reduced) * (1 + (1 - spread) / spread * (reduced - d / 2))
+    )
 
 
 STATES: dict[str, Callable[[Any, Block], Fields]] = {

@@ -17,12 +17,16 @@ import numpy as np
 from numba import njit
 
 from rvm_mpi import stage
+from rvm_mpi.collisions.boltzmann import BoltzmannOperator
 from rvm_mpi.collisions.es_bgk import EXACT, REPLACED, discrete_gaussian
+from rvm_mpi.estimates import explicit_rate
 from rvm_mpi.job import JobError
+from rvm_mpi.kinetic.conservation import SUMS, correct
 from rvm_mpi.kinetic.walls import KINDS, fill_side
 from rvm_mpi.moments import fields, sums_about
 from rvm_mpi.simd import KERNEL
 from rvm_mpi.stage import Cells, Model, Space, Work
+from rvm_mpi.states import distribution
 from rvm_mpi.velocity import VelocityGrid
 
 if TYPE_CHECKING:
@@ -31,6 +35,8 @@ if TYPE_CHECKING:
 
 #: ghost cells of g: Van Leer's stencil reaches two cells
 GHOSTS = 2
+#: largest relative error of the moments that a sampled initial state may be corrected by
+SAMPLED = 0.1
 SIDES = ("x-lower", "x-upper", "y-lower", "y-upper")
 _PROBLEMS = {
     stage.TOO_COLD_FOR_GRID: "the velocity grid cannot hold the temperature: T_g is below what its spacing resolves",
@@ -138,6 +144,9 @@ class KineticStepper:
         self._through = tuple(np.zeros((n, 5)) for n in (ny, ny, nx, nx))
         self._far = {name: self._side_states(name, density, velocity, tensor) for name in SIDES if domain.on_side(name)}
         self.rate = self.cooling_rate = 0.0
+        self._operator = _operator(job)
+        self._source = np.zeros((ny, nx, self.grid.block)) if self._operator else np.zeros((0, 0, 0))
+        self._heating = np.zeros((ny, nx))
         self._set(density, velocity, tensor)
 
     def _cells(self) -> Cells:
@@ -161,7 +170,7 @@ class KineticStepper:
         nx, ny = self.domain.local
         g = self.g[wy : wy + ny, wx : wx + nx]
         cells = {"omega": self.omega, "sums": self.now.sums}
-        if self.model.conservative:
+        if self.model.kinetic or self.model.conservative:
             cells["carried"] = self.now.carried
         return g, cells, {name: self._through[SIDES.index(name)] for name in self._far}
 
@@ -199,11 +208,38 @@ class KineticStepper:
         worst = int(self.domain.maximum(float(status.max()))[0])
         if worst > EXACT:
             self._refuse_state(worst, status, mean, packed)
+        shape = distribution(self.job)
+        if shape is not None:
+            self._sample(shape, density, mean, packed)
         self.refresh_sums()
         carried = self.now.carried
         carried[..., 0] = density
         carried[..., 1 : 1 + d] = density[..., None] * velocity
         carried[..., 4] = 0.5 * density * (trace + speed2)
+
+    def _sample(self, shape: Any, density: np.ndarray, mean: np.ndarray, tensor: np.ndarray) -> None:
+        """g of a state that is no Gaussian: its values at the nodes, corrected to the moments given."""
+        grid, velocity_grid = self.grid, self.velocity_grid
+        d, target, sums = grid.dimensions, np.zeros(5), np.zeros(SUMS)
+        inner = self._interior(self.g)
+        slab = (grid.points[0], grid.slab_size)
+        for j, i in np.ndindex(density.shape):
+            omega = self.omega[j, i]
+            axes = [omega * velocity_grid.nodes[q, : grid.points[q]] for q in range(d)]
+            values = omega**d * density[j, i] * shape(*np.meshgrid(*axes, indexing="ij"))
+            block = np.zeros(slab)
+            block[:, : velocity_grid.slab_points] = values.reshape(grid.points[0], -1)
+            target[0] = density[j, i] / grid.weight
+            target[1:4] = target[0] * mean[j, i]
+            target[4] = 0.5 * target[0] * (np.sum(mean[j, i] ** 2) + tensor[j, i, [0, 3, 5]].sum())
+            work = self.work.correction
+            found = correct(block.reshape(-1), target, d, *slab, grid.x, grid.slab, work, sums)
+            if not 0.0 <= found < SAMPLED:
+                raise JobError(
+                    f"{self.job.name}: velocity: the initial state does not fit the velocity grid: sampled at its "
+                    "nodes, the moments are wrong by more than a tenth; take more points or another half_width"
+                )
+            inner[j, i] = (work[0][:, None] * work[1][None, :] * block).reshape(-1)
 
     def _refuse_state(self, worst: int, status: np.ndarray, mean: np.ndarray, packed: np.ndarray) -> None:
         what = "replaced by the nearest tensor" if worst == REPLACED else "impossible"
@@ -336,7 +372,40 @@ class KineticStepper:
             name: self._through[SIDES.index(name)] * spacing[name[0]] for name in SIDES if self.domain.on_side(name)
         }
 
+    def _collide(self, g: np.ndarray, cells: Cells) -> None:
+        """C[g] = omega^lambda Q(g, g)/eps of the explicit operator, and the rate of f's energy that belongs to it.
+
+        What is carried leaves out the momentum, whose rate is spectral error alone, and an elastic gas's energy.
+        """
+        collision, grid = self.job.collision, self.velocity_grid
+        assert self._operator is not None and collision.knudsen is not None and collision.exponent is not None
+        ny, nx = self._heating.shape
+        wy, wx = self.domain.ghosts(GHOSTS)
+        scale = self._interior(cells.omega) ** collision.exponent / collision.knudsen
+        inner = g[wy : wy + ny, wx : wx + nx]
+        rows = self._source.reshape(ny, nx, grid.points[0], grid.slab_size)[..., : grid.slab_points]
+        for j in range(ny):
+            values = np.array(grid.unpack(inner[j])).reshape(nx, *self.job.velocity.points)
+            self._operator.collide(values, values)
+            rows[j] = values.reshape(rows[j].shape) * scale[j, :, None, None]
+        if collision.elastic:
+            return
+        mean = cells.sums[..., 1:4] / cells.sums[..., :1]
+        sums = sums_about(self._source, self.space._replace(wx=0, wy=0), self.grid, mean)
+        omega2 = self._interior(cells.omega) ** 2
+        self._heating[...] = 0.5 * grid.weight * omega2 * (sums[..., 4] + sums[..., 7] + sums[..., 9])
+
+    @property
+    def collision_rate(self) -> float:
+        """One over the longest step of an explicit operator, the same on all ranks; else 0."""
+        if self._operator is None:
+            return 0.0
+        state, temperature = self.macroscopic()
+        return self.domain.maximum(float(explicit_rate(self.job, state[..., 0], temperature, self.omega).max()))[0]
+
     def _sweep(self, second: bool, dt: float, g: np.ndarray, out: np.ndarray, begin: Cells, new: Cells) -> None:
+        if self._operator is not None:
+            self._collide(g, begin)
         stage.sweep(
             self.grid,
             self.space,
@@ -351,6 +420,8 @@ class KineticStepper:
             self._growth,
             self._omega_end,
             self._depth,
+            self._source.reshape(-1),
+            self._heating,
             self._diagnostics,
             self._sides,
             self.work,
@@ -406,23 +477,32 @@ class KineticStepper:
 def _model(job: Job) -> Model:
     """The job's physics as the numbers the kernels take."""
     collision = job.collision
-    if collision.operator == "boltzmann":
-        raise JobError(f'{job.name}: collision.operator: "boltzmann" is not in this version of rvm_mpi')
-    kinetic = job.scaling.kind == "kinetic"
-    if kinetic and not job.scheme.conservative:
-        raise JobError(
-            f"{job.name}: scheme.conservative: the kinetic scaling without the correction of g is not in this version"
-        )
     law, knudsen, prandtl = collision.relaxation, collision.knudsen, collision.prandtl
     collisions = law is not None and knudsen is not None
     return Model(
-        kinetic=kinetic,
+        kinetic=job.scaling.kind == "kinetic",
         conservative=bool(job.scheme.conservative),
+        source=collision.operator == "boltzmann",
         kappa=job.scheme.drift == "kappa",
         collisions=collisions,
         nu=1.0 - 1.0 / prandtl if collisions and prandtl is not None else 0.0,
         relaxation=law.coefficient / knudsen if law is not None and knudsen is not None else 0.0,
         density_power=law.density_power if law is not None else 0.0,
         temperature_power=law.temperature_power if law is not None else 0.0,
-        cooling=collision.cooling,
+        cooling=0.0 if collision.operator == "boltzmann" else collision.cooling,
+    )
+
+
+def _operator(job: Job) -> BoltzmannOperator | None:
+    """The job's explicit collision operator."""
+    collision = job.collision
+    if collision.operator != "boltzmann":
+        return None
+    assert collision.exponent is not None and collision.cross_section is not None
+    return BoltzmannOperator.create(
+        tuple(job.velocity.points),
+        job.velocity.half_width[0],
+        1.0 if collision.restitution is None else collision.restitution,
+        collision.exponent,
+        collision.cross_section,
     )

@@ -420,15 +420,15 @@ def combine(state: np.ndarray, start: np.ndarray, change: np.ndarray, weight: fl
 
 
 @njit(**KERNEL)
-def cool(state: np.ndarray, cooling: float, dt: float) -> None:
-    """Haff's law in every cell: T <- T/(1 + C rho sqrt(T) dt)^2, exact for dT/dt = -2 C rho T^{3/2}.
+def cool(state: np.ndarray, cooling: float, power: float, dt: float) -> None:
+    """The homogeneous cooling of every cell, exact for dT/dt = -2 C rho T^{1 + power/2} (Haff: power 1).
 
     Parameters
     ----------
     state : (ny, nx, d + 2) array
         Changed in place, its energy only.
-    cooling, dt : float
-        C and the time.
+    cooling, power, dt : float
+        C, the power of the relative speed in the collision kernel, and the time.
     """
     ny, nx, components = state.shape
     for j in range(ny):
@@ -436,8 +436,13 @@ def cool(state: np.ndarray, cooling: float, dt: float) -> None:
             inner = _internal(state[j, i])
             density = state[j, i, 0]
             temperature = 2.0 * inner / ((components - 2) * density)
-            factor = 1.0 + cooling * density * np.sqrt(temperature) * dt
-            state[j, i, components - 1] = (state[j, i, components - 1] - inner) + inner / (factor * factor)
+            if power == 1.0:
+                factor = (1.0 + cooling * density * np.sqrt(temperature) * dt) ** 2
+            elif power > 0.0:
+                factor = (1.0 + power * cooling * density * temperature ** (0.5 * power) * dt) ** (2.0 / power)
+            else:
+                factor = np.exp(2.0 * cooling * density * dt)
+            state[j, i, components - 1] = (state[j, i, components - 1] - inner) + inner / factor
 
 
 @njit(**KERNEL)
@@ -512,6 +517,7 @@ class FluidSystem:
         if self.directions > d:
             raise ValueError(f"{self.directions} space dimensions need as many velocity dimensions, not {d}")
         self.cooling = float(job.collision.cooling)
+        self.power = 1.0 if job.collision.exponent is None else float(job.collision.exponent)
         nx, ny = domain.local
         if min(domain.local[: self.directions], default=GHOSTS) < GHOSTS:
             raise ValueError(f"the fluid needs {GHOSTS} cells or more in each direction, not {nx} x {ny}")
@@ -597,7 +603,7 @@ class FluidSystem:
 
     def _cool(self, dt: float) -> None:
         if self.cooling != 0.0:
-            cool(self._interior, self.cooling, dt)
+            cool(self._interior, self.cooling, self.power, dt)
 
     def _transport(self, dt: float) -> tuple[int, int] | None:
         """SSP Runge-Kutta step of the fluxes; the first cell (row, column) to lose positivity, if any."""

@@ -53,6 +53,13 @@ JOBS = {
         "time": {"end": 0.03},
         "output": {"times": [0.0, 0.03], "marginals": True},
     },
+    "boltzmann": {
+        "space": {"cells": [14], "boundary": {"x": {"lower": "specular", "upper": "diffuse"}}},
+        "velocity": {"points": [32, 16], "half_width": 8.0},
+        "collision": {"operator": "boltzmann", "knudsen": 0.2, "restitution": 0.9},
+        "initial": {"state": "wave", "density_amplitude": 0.2, "mode": [0.5]},
+        "time": {"end": 0.02},
+    },
     "drift": {
         "space": {"cells": [12], "boundary": {"x": "specular"}},
         "velocity": {"points": [8, 8, 8]},

@@ -252,3 +252,14 @@ def test_free_transport_has_no_collision_scales():
 )
 def test_durations_in_words(seconds, words):
     assert estimates.duration_in_words(seconds) == words
+
+
+def test_boltzmann_weights_that_do_not_fit_are_refused_with_what_would():
+    """24^3 points take 18 MB of weights and eight times that while they are made: not in 100 MB."""
+    job = make(
+        cells=(), velocity={"points": [24, 24, 24]}, collision={"operator": "boltzmann", "knudsen": 1, "restitution": 1}
+    )
+    estimates.check_weights(job)
+    with pytest.raises(JobError, match=r"17\.9 MB.*allowed such as \[(20|18), (20|18), (20|18)\]"):
+        estimates.check_weights(job, available=100e6)
+    assert estimates.memory(job).operator > 8 * 17.9e6

@@ -192,7 +192,7 @@ def test_combine_cool_rate_and_omega_are_their_twins():
 
         temperature = np.array([[2 * inner(q) / (d * q[0]) for q in row] for row in state])
         cooled = state.copy()
-        euler.cool(cooled, 0.7, 0.3)
+        euler.cool(cooled, 0.7, 1.0, 0.3)
         after = temperature / (1 + 0.7 * state[..., 0] * np.sqrt(temperature) * 0.3) ** 2
         expected = state[..., -1] + 0.5 * d * state[..., 0] * (after - temperature)
         assert np.allclose(cooled[..., -1], expected, rtol=1e-13)

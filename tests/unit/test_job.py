@@ -173,7 +173,7 @@ JOBS = {
     },
     "boltzmann": {
         "space__cells": [], "velocity__points": [32, 32, 32], "initial": {"state": "bkw"},
-        "collision": {"operator": "boltzmann", "knudsen": 1, "restitution": 1, "exponent": 0, "method": "fast"},
+        "collision": {"operator": "boltzmann", "knudsen": 1, "restitution": 1, "exponent": 0, "method": "direct"},
     },
     "strings": {"title": 'a, ]\n[ "b" \u2028 [', "output__checkpoint_every": "1 h 30 min"},
 }  # fmt: skip
@@ -250,6 +250,14 @@ REFUSED = [
         "collision.cross_section: not used", "",
     ),
     ({"collision": {"operator": "boltzmann", "knudsen": 1, "restitution": 1, "exponent": 1.5}}, "collision.exponent", ""),
+    (
+        {"collision": {"operator": "boltzmann", "knudsen": 1, "restitution": 1, "method": "fast"}, "velocity__half_width": 7},
+        "collision.method: not in this version", '"direct"',
+    ),
+    (
+        {"collision": {"operator": "boltzmann", "knudsen": 1, "restitution": 1}, "velocity__half_width": [7, 7, 6]},
+        "velocity.half_width: the Boltzmann operator needs the same", "one number",
+    ),
     ({"collision": {"operator": "boltzmann", "knudsen": 1, "restitution": 1, "prandtl": 1}}, "collision.prandtl: not used", ""),
     ({"space": None}, "space: must be given", ""),
     ({"space__cells": None}, "space.cells: must be given", ""),

@@ -1,0 +1,320 @@
+"""The Boltzmann operator, elastic and inelastic, by the direct sum of the Fourier-Galerkin method.
+
+Kernel |u|^lambda b with a constant cross section b in the sigma representation, constant restitution e:
+
+    xi' = (xi + xi_*)/2 + (1 - e)/4 u + (1 + e)/4 |u| sigma,   u = xi - xi_*.
+
+In d = 1 the sphere is the two points +-1. Constant b in the impact direction with kernel |u| is the same operator in
+d = 2 and twice this one in d = 1; hard spheres in d = 3 are constant b here (1/4 for unit diameter).
+
+The weights are those of `boltzmann_weights`. Only modes with l, m and l + m all kept enter, so nothing is aliased, and
+the operator commutes with translations: that the nodes are cell centres, xi_j = -V + (j + 1/2) h, multiplies mode k by
+a phase exp(i k . s), which l + m = k carries from the arguments to the result, so plain transforms do. Q_0 is zero,
+not merely small: mass is exact; momentum and energy are to spectral accuracy.
+
+Cells go through in groups of eight, one a lane of a vector, so that every weight is read once for eight cells; groups
+go through the transforms in batches of one fixed length, padded with zeros. What a cell gets depends on its own values
+only, not on where it lies.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pyfftw
+from numba import njit
+
+from rvm_mpi.collisions.boltzmann_weights import Rows, block_kind, compute_weights
+from rvm_mpi.simd import KERNEL, LANES, apart, load, splat, store, together
+
+#: nodes of all cells in a lane of a batch: short enough for the cache, long enough for calls to be cheap
+BATCH_NODES = 2048
+
+
+@njit(**KERNEL)
+def gather(spectrum, start, nx, ny, nz, mx, my, mz, scale, re, im):  # type: ignore[no-untyped-def]
+    """The modes -M..M of each axis, real and imaginary parts apart, eight cells innermost, from a half spectrum.
+
+    spectrum, start : (nx, ny, nz // 2 + 1, 8) complex numbers as pairs, from this place of a flat array on
+    re, im : ((2 mx + 1)(2 my + 1)(2 mz + 1) 8,) arrays, overwritten
+    """
+    middle = ((mx * (2 * my + 1) + my) * (2 * mz + 1) + mz) * LANES
+    for x in range(-mx, mx + 1):
+        for y in range(-my, my + 1):
+            source = start + ((x + nx * (x < 0)) * ny + y + ny * (y < 0)) * (nz // 2 + 1) * 2 * LANES
+            row = (x * (2 * my + 1) + y) * (2 * mz + 1) * LANES
+            for z in range(mz + 1):
+                n = source + z * 2 * LANES
+                real, imaginary = apart(load(spectrum, n), load(spectrum, n + LANES))
+                place = row + z * LANES
+                store(re, middle + place, real * scale)
+                store(im, middle + place, imaginary * scale)
+                if z > 0:
+                    store(re, middle - place, real * scale)
+                    store(im, middle - place, imaginary * -scale)
+
+
+@njit(**KERNEL)
+def scatter(re, im, nx, ny, nz, mx, my, mz, spectrum, start):  # type: ignore[no-untyped-def]
+    """The half spectrum of the modes after the middle one, in the layouts of `gather`; the rest follows or is zero."""
+    middle = ((mx * (2 * my + 1) + my) * (2 * mz + 1) + mz) * LANES
+    spectrum[start : start + nx * ny * (nz // 2 + 1) * 2 * LANES] = 0.0
+    for x in range(-mx, mx + 1):
+        for y in range(-my, my + 1):
+            target = start + ((x + nx * (x < 0)) * ny + y + ny * (y < 0)) * (nz // 2 + 1) * 2 * LANES
+            row = (x * (2 * my + 1) + y) * (2 * mz + 1) * LANES
+            for z in range(mz + 1):
+                place = row + z * LANES
+                if place == 0:
+                    continue
+                # -k holds the complex conjugate of k
+                sign = 1.0 if place > 0 else -1.0
+                place = abs(place) + middle
+                low, high = together(load(re, place), load(im, place) * sign)
+                store(spectrum, target + z * 2 * LANES, low)
+                store(spectrum, target + z * 2 * LANES + LANES, high)
+
+
+@njit(**KERNEL)
+def add_line(weights, start, count, re, im, left, right, step, q_re, q_im, place):  # type: ignore[no-untyped-def]
+    """q += sum_j weights[start + j] g[left + j step] g[right - j step]: complex g, real weights, eight cells."""
+    zero = splat(0.0)
+    r1, r2, i1, i2 = zero, zero, zero, zero
+    for j in range(count):
+        w = weights[start + j]
+        a, b = load(re, left) * w, load(im, left) * w
+        c, d = load(re, right), load(im, right)
+        r1, r2 = r1 + a * c, r2 + b * d
+        i1, i2 = i1 + a * d, i2 + b * c
+        left += step
+        right -= step
+    store(q_re, place, load(q_re, place) + (r1 - r2))
+    store(q_im, place, load(q_im, place) + (i1 + i2))
+
+
+@njit(**KERNEL)
+def add_two_lines(weights, start, count, re, im, left, right, q_re, q_im, place, centre):  # type: ignore[no-untyped-def]
+    """`add_line` for a line upwards and for the line with the opposite modes of the same rows.
+
+    centre : place of mode 0 in the rows of l, of m and of k; left, right and place are relative to it.
+    """
+    zero = splat(0.0)
+    r1, r2, i1, i2 = zero, zero, zero, zero
+    s1, s2, j1, j2 = zero, zero, zero, zero
+    l_up, l_down, m_up, m_down = centre[0] + left, centre[0] - left, centre[1] + right, centre[1] - right
+    for j in range(count):
+        w = weights[start + j]
+        a, b = load(re, l_up) * w, load(im, l_up) * w
+        c, d = load(re, m_up), load(im, m_up)
+        r1, r2 = r1 + a * c, r2 + b * d
+        i1, i2 = i1 + a * d, i2 + b * c
+        a, b = load(re, l_down) * w, load(im, l_down) * w
+        c, d = load(re, m_down), load(im, m_down)
+        s1, s2 = s1 + a * c, s2 + b * d
+        j1, j2 = j1 + a * d, j2 + b * c
+        l_up += LANES
+        l_down -= LANES
+        m_up -= LANES
+        m_down += LANES
+    up, down = centre[2] + place, centre[2] - place
+    store(q_re, up, load(q_re, up) + (r1 - r2))
+    store(q_im, up, load(q_im, up) + (i1 + i2))
+    store(q_re, down, load(q_re, down) + (s1 - s2))
+    store(q_im, down, load(q_im, down) + (j1 + j2))
+
+
+@njit(**KERNEL)
+def add_pairs(pairs, kind, offsets, weights, modes, re, im, q_re, q_im):  # type: ignore[no-untyped-def]
+    """q_k += sum over the pairs of rows of W g_l g_m: the double sum, for eight cells.
+
+    pairs : (pairs, 4) array, `Rows.pairs`
+    kind : (blocks,) array, 2 where k's row is not the middle one, plus 1 where l and m have the same row
+    offsets, weights : `Rows.offsets`, `compute_weights`
+    modes : M of the last axis
+    re, im, q_re, q_im : modes in the layout of `gather`
+    """
+    length = (2 * modes + 1) * LANES
+    for pair in range(pairs.shape[0]):
+        block = pairs[pair, 3]
+        start = offsets[block]
+        mirror, same = kind[block] >= 2, kind[block] % 2 == 1
+        l_row = pairs[pair, 0] * length + modes * LANES
+        m_row = pairs[pair, 1] * length + modes * LANES
+        k_row = pairs[pair, 2] * length + modes * LANES
+        centre = (l_row, m_row, k_row)
+        for k in range(0 if mirror else 1, modes + 1):
+            first = k - modes
+            count = (k // 2 if same else modes) - first + 1
+            left, right, place = first * LANES, modes * LANES, k * LANES
+            if mirror and k > 0:
+                add_two_lines(weights, start, count, re, im, left, right, q_re, q_im, place, centre)
+            else:
+                add_line(
+                    weights, start, count, re, im, l_row + left, m_row + right, LANES, q_re, q_im, k_row + place
+                )  # fmt: skip
+            start += count
+
+
+@njit(**KERNEL)
+def sum_groups(  # type: ignore[no-untyped-def]
+    spectra, groups, points, modes, scale, pairs, kind, offsets, weights, re, im, q_re, q_im
+):
+    """The spectra of the first `groups` groups of eight cells, one behind the other, g's in, Q's out."""
+    nx, ny, nz = points
+    mx, my, mz = modes
+    for group in range(groups):
+        start = group * nx * ny * (nz // 2 + 1) * 2 * LANES
+        gather(spectra, start, nx, ny, nz, mx, my, mz, scale, re, im)
+        q_re[:] = 0.0
+        q_im[:] = 0.0
+        add_pairs(pairs, kind, offsets, weights, mz, re, im, q_re, q_im)
+        scatter(q_re, q_im, nx, ny, nz, mx, my, mz, spectra, start)
+
+
+@njit(**KERNEL)
+def to_lanes(g, lanes):  # type: ignore[no-untyped-def]
+    """lanes (batch, nx, ny, nz, 8) from cells g (up to 8 batch, nx, ny, nz), padded with zeros."""
+    lanes[:] = 0.0
+    for cell in range(g.shape[0]):
+        group, lane = cell // LANES, cell % LANES
+        for x in range(g.shape[1]):
+            for y in range(g.shape[2]):
+                for z in range(g.shape[3]):
+                    lanes[group, x, y, z, lane] = g[cell, x, y, z]
+
+
+@njit(**KERNEL)
+def from_lanes(lanes, out):  # type: ignore[no-untyped-def]
+    """`to_lanes` back again."""
+    for cell in range(out.shape[0]):
+        group, lane = cell // LANES, cell % LANES
+        for x in range(out.shape[1]):
+            for y in range(out.shape[2]):
+                for z in range(out.shape[3]):
+                    out[cell, x, y, z] = lanes[group, x, y, z, lane]
+
+
+@dataclass(frozen=True)
+class BoltzmannOperator:
+    """Q(g, g) on the nodes of a velocity grid, for any number of cells; see the module's docstring.
+
+    Without the 1 / Knudsen number, in the variables of g: for f(v) = omega^-d g(v / omega) the caller multiplies,
+    C[g] = omega^lambda Q(g, g) / Knudsen number. Two threads must not share one operator, for it owns its buffers.
+
+    Attributes
+    ----------
+    points : tuple
+        Nodes in each direction in use.
+    half_width : float
+        V, the same in each direction. g should vanish outside the ball of radius 2 V / (3 + sqrt 2).
+    restitution, exponent, cross_section : float
+        e, lambda and b.
+    rows : Rows
+        The pairs of rows the sum visits.
+    weights : array
+        `compute_weights`; read only, so that several operators may share it.
+    """
+
+    points: tuple[int, ...]
+    half_width: float
+    restitution: float
+    exponent: float
+    cross_section: float
+    rows: Rows
+    weights: np.ndarray
+    _work: dict[str, Any]
+
+    @classmethod
+    def create(
+        cls,
+        points: tuple[int, ...],
+        half_width: float,
+        restitution: float = 1.0,
+        exponent: float = 1.0,
+        cross_section: float = 1.0,
+        weights: np.ndarray | None = None,
+    ) -> BoltzmannOperator:
+        """Computes the weights (`weight_bytes` says how many bytes) unless they are given.
+
+        Raises
+        ------
+        ValueError
+            Where there are not 1 to 3 directions of at least 4 points, e or lambda is outside [0, 1], V or b not
+            positive, or the given weights are not as many as the grid's.
+        """
+        points = tuple(int(n) for n in points)
+        if not 1 <= len(points) <= 3 or min(points) < 4:
+            raise ValueError(f"points: {points}, wanted 1 to 3 directions of at least 4 points")
+        if not (0 <= restitution <= 1 and 0 <= exponent <= 1 and half_width > 0 and cross_section > 0):
+            raise ValueError("restitution and exponent must be in [0, 1], half_width and cross_section positive")
+        rows = Rows.create(points)
+        if weights is None:
+            weights = compute_weights(rows, len(points), half_width, restitution, exponent, cross_section)
+            weights.flags.writeable = False
+        if weights.shape != (int(rows.offsets[-1]),):
+            raise ValueError(f"weights: {weights.shape} given, {int(rows.offsets[-1])} wanted")
+        operator = cls(
+            points=points,
+            half_width=float(half_width),
+            restitution=float(restitution),
+            exponent=float(exponent),
+            cross_section=float(cross_section),
+            rows=rows,
+            weights=weights,
+            _work={},
+        )
+        operator._work.update(operator._buffers())
+        return operator
+
+    def _buffers(self) -> dict[str, Any]:
+        """Buffers and transforms of one batch; the plans are FFTW's estimates, so the same in each run."""
+        shape = (1,) * (3 - len(self.points)) + self.points
+        batch = max(1, BATCH_NODES // int(np.prod(shape)))
+        lanes = pyfftw.zeros_aligned((batch, *shape, LANES), dtype="float64", n=64)
+        half = (batch, *shape[:2], shape[2] // 2 + 1, LANES)
+        spectra = pyfftw.zeros_aligned(half, dtype="complex128", n=64)
+        axes = tuple(range(4 - len(self.points), 4))
+        options = {"axes": axes, "flags": ("FFTW_ESTIMATE", "FFTW_DESTROY_INPUT"), "threads": 1}
+        length = int(np.prod([2 * m + 1 for m in self.rows.modes])) * LANES
+        mirror, same = block_kind(self.rows.keys)
+        return {
+            "shape": shape,
+            "lanes": lanes,
+            "spectra": spectra.reshape(-1).view(np.float64),
+            "forward": pyfftw.FFTW(lanes, spectra, direction="FFTW_FORWARD", **options),
+            "backward": pyfftw.FFTW(spectra, lanes, direction="FFTW_BACKWARD", **options),
+            "modes": [pyfftw.zeros_aligned(length, dtype="float64", n=64) for _ in range(4)],
+            "kind": 2 * mirror + same,
+        }
+
+    @property
+    def support_radius(self) -> float:
+        """R = 2 V / (3 + sqrt 2), outside which g should be negligible."""
+        return 2 * self.half_width / (3 + 2**0.5)
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of the weights and of the pairs of rows; the buffers come on top, about 60 doubles a node."""
+        return self.rows.nbytes
+
+    def collide(self, g: np.ndarray, out: np.ndarray) -> None:
+        """Q(g, g) of cells g (cells, *points) into `out` of the same shape, which may be g itself."""
+        work, rows = self._work, self.rows
+        if g.shape[1:] != self.points or out.shape != g.shape:
+            raise ValueError(f"collide: {g.shape} and {out.shape}, wanted (cells, {', '.join(map(str, self.points))})")
+        lead = (slice(None), *(np.newaxis,) * (3 - len(self.points)))
+        g, out = g[lead], out[lead]
+        lanes, batch = work["lanes"], work["lanes"].shape[0] * LANES
+        for first in range(0, g.shape[0], batch):
+            cells = slice(first, min(first + batch, g.shape[0]))
+            to_lanes(g[cells], lanes)
+            work["forward"].execute()
+            groups = -(-(cells.stop - first) // LANES)
+            sum_groups(
+                work["spectra"], groups, work["shape"], rows.modes, 1 / np.prod(work["shape"]), rows.pairs,
+                work["kind"], rows.offsets, self.weights, *work["modes"],
+            )  # fmt: skip
+            work["backward"].execute()
+            from_lanes(lanes, out[cells])
