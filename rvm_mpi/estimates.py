@@ -490,18 +490,23 @@ def collision_frequency(job: Job, density: np.ndarray, temperature: np.ndarray) 
 
 
 def explicit_rate(job: Job, density: np.ndarray, temperature: np.ndarray, omega: np.ndarray) -> np.ndarray:
-    """One over the longest step of an explicit Boltzmann operator, in each cell; zero for other operators.
+    """One over the longest step of an explicit Boltzmann operator, in each cell; zero where nothing limits it.
 
     So many mean collisions as `EXPLICIT_COLLISIONS`, and one of the fastest pair that the operator knows, 2 R apart.
     """
-    collision, d = job.collision, job.velocity.dimensions
-    if collision.operator != "boltzmann":
+    if job.collision.operator != "boltzmann" or job.collision.penalise:
         return np.zeros_like(density)
+    mean = collision_frequency(job, density, temperature)
+    return np.maximum(mean / EXPLICIT_COLLISIONS, fastest_rate(job, density, omega))
+
+
+def fastest_rate(job: Job, density: np.ndarray, omega: np.ndarray) -> np.ndarray:
+    """Collisions per unit time of the fastest pair that the Boltzmann operator knows."""
+    collision = job.collision
     assert collision.cross_section is not None and collision.exponent is not None and collision.knudsen is not None
     widest = 2.0 * SUPPORT * job.velocity.half_width[0] * omega
-    fastest = collision.cross_section * kinetic_theory.sphere_area(d) / collision.knudsen * density
-    mean = collision_frequency(job, density, temperature)
-    return np.maximum(mean / EXPLICIT_COLLISIONS, fastest * widest**collision.exponent)
+    sphere = collision.cross_section * kinetic_theory.sphere_area(job.velocity.dimensions)
+    return sphere / collision.knudsen * density * widest**collision.exponent
 
 
 def duration_in_words(seconds: float) -> str:

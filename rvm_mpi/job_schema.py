@@ -197,6 +197,10 @@ class Collision(Section):
     )
     method: Literal["direct", "fast"] | None = Field(default=None, description='"direct" | "fast"')
 
+    penalise: bool | None = Field(
+        default=None, description="true or false; true: steps not limited by the Knudsen number"
+    )
+
     _cooling: float = PrivateAttr(0.0)
 
     @property

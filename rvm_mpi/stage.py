@@ -292,7 +292,8 @@ def sweep(  # type: ignore[no-untyped-def]
     growth, omega_end : (ny, nx) arrays
         ln(omega^(n+1)/omega^n)/dt and omega^(n+1), where the scaling does not follow from the kinetic moments.
     depth : (ny, nx) array
-        Relaxation depth dt tau/eps averaged over the step; the first stage writes it, the second reads it.
+        Relaxation depth dt tau/eps averaged over the step; the first stage writes it, the second reads it. With a
+        source it is that of the penalisation, given for both.
     source, heating : flat array, (ny, nx) array
         Rate of g by an operator that is taken explicitly, blocks without ghosts, and the rate of f's energy with it;
         read where `model.source` is set.
@@ -440,7 +441,7 @@ def sweep(  # type: ignore[no-untyped-def]
                 fastest += (turning * grid.half_width[q] + abs(rates[5 + q])) * grid.per_spacing[q]
 
             # transport and drift
-            z = depth[j, i] if second else 0.0
+            z = depth[j, i] if second or model.source else 0.0
             weight_old, weight_new = (0.5, 0.5 * (1.0 + z)) if second else (0.0, 1.0)
             drift.update(
                 g,
@@ -547,7 +548,7 @@ def sweep(  # type: ignore[no-untyped-def]
             if not temperature_new > 0.0:
                 diagnostics[j, i, STATUS] = NOT_POSITIVE
                 continue
-            if model.collisions and not second:
+            if model.collisions and not (second or model.source):
                 z0 = relaxation_rate(model, density, temperature)
                 z1 = relaxation_rate(model, density_new * weight, temperature_new * omega_new * omega_new)
                 z = 0.5 * dt * (z0 + z1)
@@ -556,7 +557,7 @@ def sweep(  # type: ignore[no-untyped-def]
             if not second:
                 weight_first = 0.0
             whole = 1.0 + z + weight_last if second else 1.0 + z
-            if model.conservative:
+            if model.conservative and not model.source:
                 for q in range(5):
                     target[q] = (whole - weight_last) * wanted[q] - weight_first * m0[q]
                 mismatch = correct(result, target, d, points_x, slab_size, grid.x, grid.slab, work.correction, sums)
@@ -601,6 +602,21 @@ def sweep(  # type: ignore[no-untyped-def]
                     status = TOO_COLD_FOR_GRID
                 elif answer == FAILED:
                     status = NO_GAUSSIAN
+            if model.source:
+                # a penalised operator's explicit part alone may be far from positive: the Gaussian goes in first
+                if share > 0.0:
+                    for n in range(0, block, 8):
+                        store(result, n, load(result, n) + load(work.gaussian, n) * share)
+                    for q in range(10):
+                        sums[q] += fitted[q] * share
+                    share = 0.0
+                if model.conservative:
+                    for q in range(5):
+                        target[q] = whole * wanted[q]
+                    mismatch = correct(result, target, d, points_x, slab_size, grid.x, grid.slab, work.correction, sums)
+                    if mismatch < 0.0:
+                        diagnostics[j, i, STATUS] = NO_CORRECTION
+                        continue
             done = new.sums[j, i]
             for q in range(10):
                 done[q] = sums[q] / whole

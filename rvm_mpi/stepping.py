@@ -19,7 +19,7 @@ from numba import njit
 from rvm_mpi import stage
 from rvm_mpi.collisions.boltzmann import BoltzmannOperator
 from rvm_mpi.collisions.es_bgk import EXACT, REPLACED, discrete_gaussian
-from rvm_mpi.estimates import explicit_rate
+from rvm_mpi.estimates import collision_frequency, explicit_rate, fastest_rate
 from rvm_mpi.job import JobError
 from rvm_mpi.kinetic.conservation import SUMS, correct
 from rvm_mpi.kinetic.walls import KINDS, fill_side
@@ -103,6 +103,42 @@ def _fill_gaussians(g, space, grid, density, mean, tensors, work, block, status)
                 g[cell + n] = scale * block[n]
 
 
+@njit(**KERNEL)
+def _penalise(g, space, grid, sums, rate, work, block, source):  # type: ignore[no-untyped-def]
+    """source -= rate (G[g] - g) in every cell, G the discrete Maxwellian with the sums (ny, nx, 10) of g."""
+    moments, mean, tensor = np.zeros(10), np.zeros(3), np.zeros(6)
+    row = (space.nx + 2 * space.wx) * grid.block
+    for j in range(space.ny):
+        for i in range(space.nx):
+            s = sums[j, i]
+            speed2 = 0.0
+            for q in range(3):
+                mean[q] = s[1 + q] / s[0]
+                speed2 += mean[q] ** 2
+            tensor[:] = 0.0
+            temperature = ((s[4] + s[7] + s[9]) / s[0] - speed2) / grid.dimensions
+            for q in range(grid.dimensions):
+                tensor[0 if q == 0 else (3 if q == 1 else 5)] = temperature
+            cell = (j + space.wy) * row + (i + space.wx) * grid.block
+            status = discrete_gaussian(
+                s[0],
+                mean,
+                tensor,
+                grid.dimensions,
+                grid.points,
+                grid.slab_size,
+                grid.x,
+                grid.slab,
+                grid.nodes,
+                work,
+                block,
+                moments,
+            )
+            scale = s[0] / moments[0] if status <= REPLACED else math.nan
+            for n in range(grid.block):
+                source[j, i, n] -= rate[j, i] * (scale * block[n] - g[cell + n])
+
+
 class KineticStepper:
     """g on this rank's cells and the two-stage step that advances it.
 
@@ -146,7 +182,7 @@ class KineticStepper:
         self.rate = self.cooling_rate = 0.0
         self._operator = _operator(job)
         self._source = np.zeros((ny, nx, self.grid.block)) if self._operator else np.zeros((0, 0, 0))
-        self._heating = np.zeros((ny, nx))
+        self._heating, self._penalty = np.zeros((ny, nx)), np.zeros((ny, nx))
         self._set(density, velocity, tensor)
 
     def _cells(self) -> Cells:
@@ -388,12 +424,28 @@ class KineticStepper:
             values = np.array(grid.unpack(inner[j])).reshape(nx, *self.job.velocity.points)
             self._operator.collide(values, values)
             rows[j] = values.reshape(rows[j].shape) * scale[j, :, None, None]
+        if collision.penalise:
+            _penalise(
+                g.reshape(-1), self.space, self.grid, cells.sums, self._penalty, self.work.fit, self.work.gaussian,
+                self._source,
+            )  # fmt: skip
         if collision.elastic:
             return
         mean = cells.sums[..., 1:4] / cells.sums[..., :1]
         sums = sums_about(self._source, self.space._replace(wx=0, wy=0), self.grid, mean)
         omega2 = self._interior(cells.omega) ** 2
         self._heating[...] = 0.5 * grid.weight * omega2 * (sums[..., 4] + sums[..., 7] + sums[..., 9])
+
+    def _set_penalty(self, dt: float) -> None:
+        """The rate of the relaxation that is taken off the operator and put back implicitly, for the coming step.
+
+        Half of the fastest rate of the operator, so that what is left grows in no mode; the mean rate at the least.
+        """
+        state, temperature = self.macroscopic()
+        density = state[..., 0]
+        mean = collision_frequency(self.job, density, temperature)
+        self._penalty[...] = np.maximum(mean, 0.5 * fastest_rate(self.job, density, self.omega))
+        self._depth[...] = dt * self._penalty
 
     @property
     def collision_rate(self) -> float:
@@ -405,6 +457,8 @@ class KineticStepper:
 
     def _sweep(self, second: bool, dt: float, g: np.ndarray, out: np.ndarray, begin: Cells, new: Cells) -> None:
         if self._operator is not None:
+            if self.job.collision.penalise and not second:
+                self._set_penalty(dt)
             self._collide(g, begin)
         stage.sweep(
             self.grid,
@@ -478,7 +532,7 @@ def _model(job: Job) -> Model:
     """The job's physics as the numbers the kernels take."""
     collision = job.collision
     law, knudsen, prandtl = collision.relaxation, collision.knudsen, collision.prandtl
-    collisions = law is not None and knudsen is not None
+    collisions = bool(collision.penalise) or (law is not None and knudsen is not None)
     return Model(
         kinetic=job.scaling.kind == "kinetic",
         conservative=bool(job.scheme.conservative),

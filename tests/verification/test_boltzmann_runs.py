@@ -136,3 +136,44 @@ def test_the_coupled_model_needs_its_moments_exact(conservative):
     thermal = (sums[4] + sums[7]) / (2 * sums[0])
     print(f"conservative {conservative}: T_g = {thermal:.4f}, g from {g.min():.1e} to {g.max():.2f}")
     assert (abs(thermal - 1) < 1e-9) == conservative
+
+
+def test_penalisation_keeps_second_order():
+    """The anisotropy of the stress at t = 0.4 from two Gaussians; what the explicit scheme finds in the limit."""
+
+    def anisotropy(steps, penalise):
+        job = homogeneous(
+            (24, 24), 8.0, end=0.4, state={"state": "two-gaussians"}, dt=0.4 / steps, knudsen=0.5, restitution=0.8,
+            penalise=penalise,
+        )  # fmt: skip
+        return finish(job).kinetic.fields()["stress"][0, 0, 0, 1]
+
+    found = np.array([anisotropy(steps, True) for steps in (40, 80, 160, 320)])
+    change = np.abs(np.diff(found))
+    error = abs(found[-1] - anisotropy(320, False))
+    print(f"{found}, orders {np.log2(change[:-1] / change[1:])}, last error {error:.1e}")
+    assert np.all(np.log2(change[:-1] / change[1:]) > 1.8)
+    assert error < change[-1]
+
+
+@pytest.mark.parametrize("knudsen", [1e-2, 1e-4, 1e-6])
+def test_small_knudsen_numbers_lead_to_euler(knudsen):
+    """A wave in one space and two velocity dimensions, dt by transport alone, beside the fluid system."""
+    job = Job.from_dict(
+        {
+            "space": {"cells": [24]},
+            "velocity": {"points": [24, 24], "half_width": 8.0},
+            "collision": {"operator": "boltzmann", "knudsen": knudsen, "restitution": 1.0, "penalise": True},
+            "initial": {"state": "wave", "density_amplitude": 0.1, "velocity_amplitude": [0.1, 0.0]},
+            "time": {"end": 0.1},
+        }
+    )
+    simulation = Simulation(job)
+    limits = {step.limit for step in simulation}
+    kinetic, fluid = simulation.moments()["density"], simulation.fluid.moments()[0]
+    error = np.abs(kinetic - fluid).max()
+    row = simulation.diagnostics.row
+    print(f"eps {knudsen}: {simulation.number} steps, density differs by {error:.1e}, energy {row['energy_error']:.1e}")
+    assert limits <= {"transport and drift (cfl)", "end"}
+    assert error < 0.01
+    assert abs(row["mass_error"]) < 1e-13 and abs(row["energy_error"]) < 1e-13
