@@ -16,7 +16,7 @@ from numba import njit
 
 from rvm_mpi.collisions.es_bgk import FAILED, REPLACED, TOO_COLD, discrete_gaussian
 from rvm_mpi.kinetic import drift
-from rvm_mpi.kinetic.conservation import SUMS, correct, weighted_sums
+from rvm_mpi.kinetic.conservation import SUMS, add_correction, correct, weighted_sums
 from rvm_mpi.kinetic.transport import upper_fluxes
 from rvm_mpi.simd import KERNEL, load, maximum, minimum, splat, store
 from rvm_mpi.velocity import VALID, VelocityGrid, Y
@@ -603,7 +603,7 @@ def sweep(  # type: ignore[no-untyped-def]
                 elif answer == FAILED:
                     status = NO_GAUSSIAN
             if model.source:
-                # a penalised operator's explicit part alone may be far from positive: the Gaussian goes in first
+                # the operator leaves g negative in places, far so where it is penalised
                 if share > 0.0:
                     for n in range(0, block, 8):
                         store(result, n, load(result, n) + load(work.gaussian, n) * share)
@@ -611,10 +611,41 @@ def sweep(  # type: ignore[no-untyped-def]
                         sums[q] += fitted[q] * share
                     share = 0.0
                 if model.conservative:
+                    tensor[:] = 0.0
+                    for q in range(3):
+                        centre[q] = wanted[1 + q] / wanted[0]
+                        if q < d:
+                            tensor[(0, 3, 5)[q]] = temperature_new
+                    answer = discrete_gaussian(
+                        wanted[0],
+                        centre,
+                        tensor,
+                        d,
+                        points,
+                        slab_size,
+                        grid.x,
+                        grid.slab,
+                        grid.nodes,
+                        work.fit,
+                        work.gaussian,
+                        fitted,
+                    )
                     for q in range(5):
                         target[q] = whole * wanted[q]
-                    mismatch = correct(result, target, d, points_x, slab_size, grid.x, grid.slab, work.correction, sums)
-                    if mismatch < 0.0:
+                    if answer <= REPLACED:
+                        mismatch = add_correction(
+                            result,
+                            work.gaussian,
+                            target,
+                            d,
+                            points_x,
+                            slab_size,
+                            grid.x,
+                            grid.slab,
+                            work.correction,
+                            sums,
+                        )
+                    if answer > REPLACED or mismatch < 0.0:
                         diagnostics[j, i, STATUS] = NO_CORRECTION
                         continue
             done = new.sums[j, i]

@@ -1,7 +1,8 @@
 """Moments of a block, and the correction of g that makes its mass, momentum and energy exact.
 
-The correction multiplies g by exp(c0 + c . (xi - u) + c2 |xi - u|^2): positive, and a product of factors of one axis
-each. Its d + 2 coefficients come from a few Newton steps on the moments themselves.
+Where g is positive the correction multiplies it by exp(c0 + c . (xi - u) + c2 |xi - u|^2): positive, and a product of
+factors of one axis each. Its d + 2 coefficients come from a few Newton steps on the moments themselves. A g that a
+spectral operator has left negative in places has no such factor; there a Gaussian times such a polynomial is added.
 """
 
 from __future__ import annotations
@@ -141,6 +142,19 @@ def about_origin(sums, centre):  # type: ignore[no-untyped-def]
 
 
 @njit(**KERNEL)
+def _moment_matrix(sums, matrix):  # type: ignore[no-untyped-def]
+    """Lower half of the sums of products of 1, c, |c|^2, from those of `weighted_sums`."""
+    for i in range(3):
+        matrix[1 + i, 0] = sums[1 + i]
+        matrix[4, 1 + i] = sums[10 + i]
+    matrix[0, 0] = sums[0]
+    matrix[4, 0] = sums[4] + sums[7] + sums[9]
+    matrix[1, 1], matrix[2, 1], matrix[3, 1] = sums[4], sums[5], sums[6]
+    matrix[2, 2], matrix[3, 2], matrix[3, 3] = sums[7], sums[8], sums[9]
+    matrix[4, 4] = sums[13]
+
+
+@njit(**KERNEL)
 def correct(block, target, dimensions, points_x, slab_size, x, slab, work, sums):  # type: ignore[no-untyped-def]
     """Find the factor that gives a block the moments `target`.
 
@@ -201,14 +215,7 @@ def correct(block, target, dimensions, points_x, slab_size, x, slab, work, sums)
             about_origin(sums, centre)
             return first
         previous = mismatch
-        for i in range(3):
-            matrix[1 + i, 0] = sums[1 + i]
-            matrix[4, 1 + i] = sums[10 + i]
-        matrix[0, 0] = sums[0]
-        matrix[4, 0] = square
-        matrix[1, 1], matrix[2, 1], matrix[3, 1] = sums[4], sums[5], sums[6]
-        matrix[2, 2], matrix[3, 2], matrix[3, 3] = sums[7], sums[8], sums[9]
-        matrix[4, 4] = sums[13]
+        _moment_matrix(sums, matrix)
         step[0] = density - sums[0]
         step[1], step[2], step[3] = -sums[1], -sums[2], -sums[3]
         step[4] = spread - square
@@ -234,3 +241,61 @@ def correct(block, target, dimensions, points_x, slab_size, x, slab, work, sums)
             about_origin(sums, centre)
             return first
     return -1.0
+
+
+@njit(**KERNEL)
+def add_correction(block, gaussian, target, dimensions, points_x, slab_size, x, slab, work, sums):  # type: ignore[no-untyped-def]
+    """Add gaussian * (c0 + c . (xi - u) + c2 |xi - u|^2) to a block of any sign, so that its moments are `target`.
+
+    Parameters
+    ----------
+    block : (points_x * slab_size,) array
+        Corrected in place.
+    gaussian : (points_x * slab_size,) array
+        Positive, best with moments near the target's.
+    target, work, sums
+        As in `correct`; factor_x and factor_slab are left at one.
+
+    Returns
+    -------
+    float
+        The largest relative mismatch of the moments that was removed, -1 where the target is not positive.
+    """
+    factor_x, factor_slab, powers, matrix, vectors = work
+    centre, step = vectors[0], vectors[2]
+    density = target[0]
+    for i in range(3):
+        centre[i] = target[1 + i] / density
+    spread = 2.0 * target[4] - density * (centre[0] ** 2 + centre[1] ** 2 + centre[2] ** 2)
+    if not (density > 0.0 and spread > 0.0):
+        return -1.0
+    thermal = math.sqrt(spread / density)
+    for k in range(points_x):
+        factor_x[k] = 1.0
+    for n in range(0, slab_size, 8):
+        store(factor_slab, n, splat(1.0))
+    weighted_sums(block, centre, points_x, slab_size, x, slab, factor_x, factor_slab, powers, sums)
+    square = sums[4] + sums[7] + sums[9]
+    mismatch = max(
+        abs(sums[0] / density - 1.0),
+        max(abs(sums[1]), abs(sums[2]), abs(sums[3])) / (density * thermal),
+        abs(square / spread - 1.0),
+    )
+    step[0], step[1], step[2], step[3] = density - sums[0], -sums[1], -sums[2], -sums[3]
+    step[4] = spread - square
+    weighted_sums(gaussian, centre, points_x, slab_size, x, slab, factor_x, factor_slab, powers, sums)
+    _moment_matrix(sums, matrix)
+    if not solve(matrix, step, 5):
+        return -1.0
+    for k in range(points_x):
+        s = x[k] - centre[0]
+        along = step[0] + s * (step[1] + step[4] * s)
+        for n in range(0, slab_size, 8):
+            y = load(slab, Y * slab_size + n) - splat(centre[1])
+            z = load(slab, Z * slab_size + n) - splat(centre[2])
+            polynomial = y * (y * step[4] + splat(step[2])) + z * (z * step[4] + splat(step[3])) + splat(along)
+            at = k * slab_size + n
+            store(block, at, load(block, at) + load(gaussian, at) * polynomial)
+    weighted_sums(block, centre, points_x, slab_size, x, slab, factor_x, factor_slab, powers, sums)
+    about_origin(sums, centre)
+    return mismatch

@@ -6,7 +6,15 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from numpy_twins import SHAPES, corrected, make_grid, nodes, pack, powers, random_g, ten_sums
 
-from rvm_mpi.kinetic.conservation import SUMS, about_origin, correct, factor_tables, solve, weighted_sums
+from rvm_mpi.kinetic.conservation import (
+    SUMS,
+    about_origin,
+    add_correction,
+    correct,
+    factor_tables,
+    solve,
+    weighted_sums,
+)
 from rvm_mpi.stage import Work, kernel_grid
 
 SETTINGS = settings(max_examples=40, deadline=None)
@@ -218,3 +226,35 @@ def test_a_g_that_is_not_positive_on_the_whole_is_refused():
     g = gas(grid, np.random.default_rng(0))
     for bad in (-g, 0.0 * g, np.nan * g):
         assert run_correct(grid, bad, five(grid, g))[0] == -1.0
+
+
+@SETTINGS
+@given(points=POINTS, seed=SEED)
+def test_add_correction(points, seed):
+    """A block of any sign gets the moments wanted, by the polynomial times the Gaussian of a linear system."""
+    grid, rng = make_grid(points), np.random.default_rng(seed)
+    kernel, d = kernel_grid(grid), len(points)
+    work = Work.create(kernel, 1)
+    near, signed = random_g(grid, rng), random_g(grid, rng, signed=True)
+    block = near + 0.1 * near.max() * signed / np.abs(signed).max()
+    target = five(grid, random_g(grid, rng))
+    mean = target[1:4] / target[0]
+    assume(2.0 * target[4] > 1.01 * target[0] * (mean**2).sum())
+    packed, sums = pack(grid, block), np.empty(SUMS)
+    mismatch = add_correction(
+        packed, pack(grid, near), target, d, grid.points[0], grid.slab_size, kernel.x, kernel.slab, work.correction,
+        sums,
+    )  # fmt: skip
+    found = grid.unpack(packed)
+    c = [axis - m for axis, m in zip(nodes(grid), mean)]
+    one = np.ones(grid.points)
+    basis = np.array([one, *(one * c[a] for a in range(d)), one * sum(c[a] ** 2 for a in range(d))])
+    spread = 2.0 * target[4] - target[0] * (mean**2).sum()
+    missing = np.array([target[0], *np.zeros(d), spread]) - np.einsum("pijk,ijk->p", basis, block)
+    matrix = np.einsum("pijk,qijk,ijk->pq", basis, basis, near)
+    wanted = block + near * np.einsum("p,pijk->ijk", np.linalg.solve(matrix, missing), basis)
+    scale = np.abs(wanted).max() * np.linalg.cond(matrix)
+    np.testing.assert_allclose(found, wanted, atol=1e-14 * scale)
+    np.testing.assert_allclose(five(grid, found), target, atol=1e-11 * np.abs(wanted).sum() * 50)
+    np.testing.assert_allclose(sums[:10], ten_sums(grid, found), atol=1e-13 * np.abs(wanted).sum() * 100)
+    assert mismatch > 0.0

@@ -91,12 +91,16 @@ def test_second_order_in_time(scaling):
     assert np.all(np.log2(change[:-1] / change[1:]) > 1.8)
 
 
-def test_momentum_and_energy_are_exact_in_space():
-    """A periodic wave of one space dimension: what the operator takes from the energy is all that is lost."""
+@pytest.mark.parametrize("points", [32, 64])
+def test_momentum_and_energy_are_exact_in_space(points):
+    """A periodic wave of one space dimension: what the operator takes from the energy is all that is lost.
+
+    With 32 points, too few for this box, g reaches -0.2 % of its maximum.
+    """
     job = Job.from_dict(
         {
             "space": {"cells": [12]},
-            "velocity": {"points": [64], "half_width": 10.0},
+            "velocity": {"points": [points], "half_width": 10.0},
             "collision": {"operator": "boltzmann", "knudsen": 0.1, "restitution": 0.9},
             "initial": {"state": "wave", "density_amplitude": 0.2, "velocity_amplitude": [0.3]},
             "time": {"end": 0.5},
@@ -107,7 +111,7 @@ def test_momentum_and_energy_are_exact_in_space():
     for _ in simulation:
         row = simulation.diagnostics.row
         worst = np.maximum(worst, [abs(row[f"{name}_error"]) for name in ("mass", "momentum", "energy")])
-    print(f"{simulation.number} steps, largest errors {worst}")
+    print(f"{points} points, {simulation.number} steps, largest errors {worst}, smallest g {row['min_g']:.1e}")
     assert worst.max() < 1e-13
     assert row["mean_temperature"] < 0.7
 
