@@ -90,7 +90,7 @@ class Wave:
 def main() -> None:
     for e, paper in PAPER.items():
         wave = Wave(e, pi)
-        time, temperature, density = wave.evolve(30.0)
+        time, _temperature, density = wave.evolve(30.0)
         for t in (0.5, 1, 2, 5, 10, 20):
             print(f"e = {e}, t = {t}: L = {2 / pi * abs(np.interp(t, time, density)):.3e}", end="; ")
         print(f"\n  paper {paper}; slowest powers of time {np.round(wave.eigenvalues(), 3)}")

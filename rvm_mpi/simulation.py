@@ -354,7 +354,8 @@ class Diagnostics:
             through = None if report is None else report.entered.get(name)
             arrays += [np.zeros(0) if through is None else through[:, q] for q in picks]
         sums = exact_sums(arrays, sim.domain.comm)
-        *totals, heat, square, fluid_mass, fluid_energy_sum, fluid_heat, fluid_square, dissipated, deviation = sums[: d + 10]
+        *totals, heat, square, fluid_mass, fluid_energy_sum, fluid_heat, fluid_square = sums[: d + 8]
+        dissipated, deviation = sums[d + 8 : d + 10]
         largest = sim.domain.maximum(
             -(report.smallest if report else float(self._interior_g().min())),
             report.largest if report else float(self._interior_g().max()),

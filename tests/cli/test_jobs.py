@@ -40,7 +40,7 @@ TWINS = [
     ("test1_coupled", "test1_macroscopic", {"title", "scaling.kind", "fluid.enabled"}),
     ("test1_coupled", "test1_classical", {"title", "scaling.kind", "velocity.half_width"}),
     ("test2_specular", "test2_macroscopic", PAPERS_SCHEME),
-    ("test2_macroscopic", "test2_classical", CLASSICAL | {"velocity.points"}),
+    ("test2_macroscopic", "test2_classical", CLASSICAL | {"velocity.points", "time.end", "output.times"}),
     (
         "test2_specular",
         "test2_periodic",
