@@ -9,16 +9,20 @@ fi
 run() { # OUTPUT JOB [OPTIONS]
     mpirun -n "${RANKS:-2}" .venv/bin/rvm run "jobs/$2.toml" --output "runs/$1" "${@:3}"
 }
-fine=(--set 'velocity.points=[256]' --set time.end=30 --set 'output.times=[0, 30]')
+# fewer cells and three times the paper's velocities: what the damping rates need
+fine() { # NAME JOB E END
+    run "$1" "$2" --set 'space.cells=[16]' --set 'velocity.points=[192]' --set "collision.restitution=$3" \
+        --set "time.end=$4" --set "output.times=[0, $4]"
+}
 
 run test2_macroscopic test2_macroscopic
 run test2_classical test2_classical
 run test2_specular test2_specular
-for e in 0.80 0.85 0.90 0.95; do
-    run "test2_specular_e${e/./}" test2_specular "${fine[@]}" --set "collision.restitution=$e"
-done
-run test2_periodic_e090 test2_periodic "${fine[@]}"
+fine test2_specular_e080 test2_specular 0.80 250
+fine test2_specular_e085 test2_specular 0.85 50
+fine test2_specular_e090 test2_specular 0.90 20
+fine test2_specular_e095 test2_specular 0.95 8
+fine test2_periodic_e080 test2_periodic 0.80 30
 
 .venv/bin/python postprocess/waves.py runs/test2_macroscopic runs/test2_specular runs/test2_classical
-.venv/bin/python postprocess/waves.py runs/test2_specular_e{080,085,090,095}
-.venv/bin/python postprocess/waves.py runs/test2_periodic_e090 runs/test2_specular_e090
+.venv/bin/python postprocess/waves.py runs/test2_specular_e{080,085,090,095} runs/test2_periodic_e080

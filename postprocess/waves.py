@@ -2,8 +2,8 @@
 
 Two figures into the first DIR's figures, as PNG and PDF: waves_energy (energy over that of the start) and
 waves_deviation (L(t), the mean of |rho - mean rho|, in log-log, with the line through its maxima), and a table of the
-damping rates, L ~ t^rate, with the paper's where it has one. Maxima below --floor, and from the first on that does not fall,
-are left out of the fit: there the scheme's own error shows.
+damping rates, L ~ t^rate, with the paper's where it has one. Maxima below --floor, and from the first on that does
+not fall, are left out of the fit: there the scheme's own error shows.
 
     python postprocess/waves.py runs/test2_specular_e080 runs/test2_specular_e090
 """
