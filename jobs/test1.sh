@@ -13,4 +13,5 @@ done
 
 .venv/bin/python postprocess/marginals.py --times 0.5 10 50 -- runs/test1_coupled runs/test1_macroscopic runs/test1_kinetic
 .venv/bin/python postprocess/marginals.py --times 0.5 10 50 -- runs/test1_coupled_96 runs/test1_macroscopic_96
-.venv/bin/python postprocess/marginals.py --times 0.3 1 20 -- runs/test1_classical runs/test1_macroscopic
+.venv/bin/python postprocess/marginals.py --times 0.3 1 -- runs/test1_classical runs/test1_macroscopic
+.venv/bin/python postprocess/marginals.py --times 0.3 1 20 -- runs/test1_macroscopic

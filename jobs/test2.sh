@@ -16,7 +16,7 @@ fine() { # NAME JOB E END
 }
 
 run test2_macroscopic test2_macroscopic
-run test2_classical test2_classical
+run test2_classical test2_classical || [ $? = 3 ] # may lose the gas before its end
 run test2_specular test2_specular
 fine test2_specular_e080 test2_specular 0.80 250
 fine test2_specular_e085 test2_specular 0.85 50
