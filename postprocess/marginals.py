@@ -79,7 +79,10 @@ def _curves(options, runs):
     right.set_yscale("log")
     top = right.dataLim.y1
     right.set_ylim(top * 10.0 ** -(DECADES + 2), 2 * top)
-    left.legend()
+    if len(runs) > 1:  # below: beside the curves there is no room for so many names
+        figure.legend(*left.get_legend_handles_labels(), loc="upper center", bbox_to_anchor=(0.5, 0.0), ncol=len(runs))
+    else:
+        left.legend()
     figure.suptitle(common.title_of(runs[0]))
     return figure
 

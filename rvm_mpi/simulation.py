@@ -347,11 +347,15 @@ class Diagnostics:
             fluid_thermal = fluid_density * sim.fluid.moments()[2]
         arrays += [fluid_density, fluid_energy, fluid_thermal, fluid_density**2]
         arrays.append(np.zeros(0) if report is None else report.dissipated)
+        cells = sim.domain.cells[0] * sim.domain.cells[1]
+        mean = self._mean_density(density, cells)
+        arrays.append(np.abs(density - mean))
         for name in self._sides:
             through = None if report is None else report.entered.get(name)
             arrays += [np.zeros(0) if through is None else through[:, q] for q in picks]
         sums = exact_sums(arrays, sim.domain.comm)
-        *totals, heat, square, fluid_mass, fluid_energy_sum, fluid_heat, fluid_square, dissipated = sums[: d + 9]
+        *totals, heat, square, fluid_mass, fluid_energy_sum, fluid_heat, fluid_square = sums[: d + 8]
+        dissipated, deviation = sums[d + 8 : d + 10]
         largest = sim.domain.maximum(
             -(report.smallest if report else float(self._interior_g().min())),
             report.largest if report else float(self._interior_g().max()),
@@ -362,9 +366,8 @@ class Diagnostics:
         self.temperature_range = (-largest[3], largest[4])
         replaced = exact_sums([np.array([float(report.replaced if report else 0)])], sim.domain.comm)[0]
         self._dissipated += float(dissipated) * sim.volume
-        for key, value in zip(self._entered, sums[d + 9 :]):
+        for key, value in zip(self._entered, sums[d + 10 :]):
             self._entered[key] += float(value) * sim.volume
-        cells = sim.domain.cells[0] * sim.domain.cells[1]
         none = math.nan
         fluid = sim.fluid is not None
         row: dict[str, float] = {"step": sim.number, "time": sim.time, "dt": sim.last_dt}
@@ -375,6 +378,7 @@ class Diagnostics:
         row["mean_temperature"] = float(heat / totals[0])
         row["fluid_mean_temperature"] = float(fluid_heat / fluid_mass) if fluid else none
         row["density_variance"] = float(square) / cells - (float(totals[0]) / cells) ** 2
+        row["density_deviation"] = float(deviation) / cells
         row["fluid_density_variance"] = (
             float(fluid_square) / cells - (float(fluid_mass) / cells) ** 2 if fluid else none
         )
@@ -382,6 +386,12 @@ class Diagnostics:
         row["gaussians_replaced"] = float(replaced)
         row.update(self._balances(row))
         self.row = row
+
+    def _mean_density(self, density: np.ndarray, cells: int) -> float:
+        """That of the start."""
+        if self._first:
+            return self._first["mass"] / self._sim.volume / cells
+        return float(exact_sums([density], self._sim.domain.comm)[0]) / cells
 
     def _balances(self, row: dict[str, float]) -> dict[str, float]:
         """What mass, momentum and energy miss, relative to their start (momentum: to mass times the initial omega)."""

@@ -20,7 +20,9 @@ ROOT = Path(__file__).resolve().parents[2]
 JOBS = sorted((ROOT / "jobs").glob("*.toml"))
 SCRIPTS = sorted([*(ROOT / "jobs").glob("*.sh"), *(ROOT / "scripts").glob("*.sh")])
 
+PAPERS_SCHEME = {"title", "scaling.kind", "scheme.conservative", "scheme.drift", "fluid.enabled"}
 SCALING = {"title", "scaling.kind", "scheme.conservative"}
+CLASSICAL = {"title", "scaling.kind", "fluid.enabled", "velocity.half_width"}
 TWINS = [
     ("test4_clustering", "test4_clustering_kinetic", SCALING),
     ("test4_clustering_e075", "test4_clustering_e075_kinetic", SCALING),
@@ -34,6 +36,18 @@ TWINS = [
         "test4_clustering_pressure_law",
         {"title", "collision.relaxation.temperature_power"},
     ),
+    ("test1_coupled", "test1_kinetic", {"title", "scheme.conservative"}),
+    ("test1_coupled", "test1_macroscopic", {"title", "scaling.kind", "fluid.enabled"}),
+    ("test1_coupled", "test1_classical", {"title", "scaling.kind", "velocity.half_width"}),
+    ("test2_specular", "test2_macroscopic", PAPERS_SCHEME),
+    ("test2_macroscopic", "test2_classical", CLASSICAL | {"velocity.points", "time.end", "output.times"}),
+    (
+        "test2_specular",
+        "test2_periodic",
+        {"title", "space.boundary.x.lower.kind", "space.boundary.x.upper.kind", "initial.mode"},
+    ),
+    ("test3_kinetic", "test3_macroscopic", PAPERS_SCHEME),
+    ("test3_macroscopic", "test3_classical", CLASSICAL),
     ("test5_shock", "test5_hot_spot", {"title", "initial.inner", "initial.outer"}),
 ]
 
@@ -64,7 +78,8 @@ def test_job_is_valid_and_says_how_to_run_and_plot_it(path):
     assert job.output.times[-1] == job.time.end
     opening = path.read_text().split("\n\n")[0].splitlines()
     assert all(line.startswith("#") for line in opening)
-    assert f"# Run it:   mpirun -n 2 .venv/bin/rvm run jobs/{path.name}" in opening
+    ranks = "mpirun -n 2 " if job.space.dimensions else ""  # without space a job runs on one
+    assert f"# Run it:   {ranks}.venv/bin/rvm run jobs/{path.name}" in opening
     assert any(line.startswith("# Plot it:") and line.endswith(f"runs/{path.stem}") for line in opening)
 
 
@@ -103,6 +118,20 @@ def test_shock_jobs_have_the_papers_relaxation_rate(name):
     assert relaxation.coefficient == pytest.approx(0.925 * math.pi / 2, rel=1e-15)
     assert (relaxation.density_power, relaxation.temperature_power) == (1, 0)
     assert {side.kind for side in job.space.sides.values()} == {"far-field"}
+
+
+@pytest.mark.parametrize("test, cells, restitution", [(1, (), 0.8), (2, (25,), 0.9), (3, (100,), 0.9)])
+def test_boltzmann_jobs_have_the_papers_grid(test, cells, restitution):
+    names = [path.stem for path in JOBS if path.stem.startswith(f"test{test}_")]
+    assert len(names) >= 3
+    for name in names:
+        job = Job.from_file(ROOT / "jobs" / f"{name}.toml")
+        classical = job.scaling.kind == "none"
+        assert (job.space.cells, job.collision.restitution) == (cells, restitution)
+        assert (job.collision.operator, job.collision.exponent, job.collision.cross_section) == ("boltzmann", 1, 1)
+        assert job.collision.knudsen == (1.0 if test == 1 else 0.1)
+        assert set(job.velocity.points) == {256 if classical and test == 2 else 64}
+        assert set(job.velocity.half_width) == {8.0 if classical else {1: 9.0, 2: 10.0, 3: 12.0}[test]}
 
 
 @pytest.mark.parametrize("path", SCRIPTS, ids=lambda path: path.name)

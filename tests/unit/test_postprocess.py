@@ -21,6 +21,7 @@ import contours  # noqa: E402
 import history  # noqa: E402
 import marginals  # noqa: E402
 import profiles  # noqa: E402
+import waves  # noqa: E402
 
 DPI = 40  # coarse pictures are drawn faster
 common.plt.rcParams["savefig.dpi"] = DPI
@@ -401,3 +402,54 @@ def test_the_classical_marginal_is_the_scaled_one_stretched():
 
 def test_titles_are_not_read_as_mathematics(tmp_path):
     assert common.title_of(common.open_run(make_run(tmp_path / "run"))) == r"a \$run\$ of costs"
+
+
+def decaying(time, rate=-1.4, frequency=4.0, floor=0.0):
+    """A damped oscillation in log t, as L(t) has it."""
+    return 0.05 * time**rate * np.abs(np.cos(frequency * np.log(time))) + floor
+
+
+def test_damping_of_oscillations_in_log_t_and_where_it_ends():
+    time = np.geomspace(0.3, 30, 3000)
+    rate, period, place, fit = waves.damping(time, decaying(time), floor=1e-6)
+    assert rate == pytest.approx(-1.4, rel=1e-3)
+    assert period == pytest.approx(2 * np.pi / 4.0, rel=1e-3)
+    assert fit == pytest.approx(decaying(place), rel=1e-2)
+    above = waves.damping(time, decaying(time), floor=3e-3)
+    assert 2 <= len(above[2]) < len(place)
+    assert waves.damping(time, decaying(time), floor=1.0) is None
+    swelling = waves.damping(time, decaying(time) + 0.01 * (time > 5) * decaying(time, rate=1.0), floor=1e-6)
+    assert swelling[2].max() < 6
+
+
+@pytest.fixture
+def wave_run(tmp_path):
+    directory = make_run(tmp_path / "run", (12,))
+    history = results.read_history(directory)
+    time = np.concatenate([[0.0], np.geomspace(0.01, 30, 2000)])
+    with (directory / "history.csv").open("w") as file:
+        file.write(",".join([*history, "density_deviation"]) + "\n")
+        for step, t in enumerate(time):
+            row = dict.fromkeys([*history, "density_deviation"], 0.0)
+            row.update(step=step, time=t, mass=2.0, energy=1 / (1 + t) ** 2, mean_temperature=1 / (1 + t) ** 2)
+            row["density_deviation"] = decaying(max(t, 0.01), -2.05)
+            file.write(",".join(map(str, row.values())) + "\n")
+    return directory
+
+
+def test_the_table_has_the_fitted_rate_beside_the_papers(wave_run, capsys):
+    assert waves.main([str(wave_run), "--labels", "mine", "--floor", "1e-6"]) == 0
+    assert figures(wave_run) == both("waves_deviation", "waves_energy")
+    title, row = [line for line in capsys.readouterr().out.splitlines() if line.startswith("#")]
+    assert title.split()[1:] == ["run", "e", "maxima", "rate", "paper", "period", "in", "log", "t"]
+    name, e, _, rate, paper, period = row.split()[1:]
+    assert (name, float(e), float(paper)) == ("mine", 0.9, -2.05)
+    assert float(rate) == pytest.approx(-2.05, rel=2e-3)
+    assert float(period) == pytest.approx(np.pi / 2, rel=2e-3)
+
+
+def test_waves_of_what_they_cannot_be_drawn_of(tmp_path, wave_run, capsys):
+    assert waves.main([str(make_run(tmp_path / "other"))]) == 2
+    assert "no density_deviation" in capsys.readouterr().err
+    assert waves.main([str(wave_run), "--labels", "a", "b"]) == 2
+    assert "2 labels for 1 runs" in capsys.readouterr().err

@@ -1,0 +1,56 @@
+"""Test 2: waves in a cooling granular gas, against the linear theory and the paper's rates of damping."""
+
+import sys
+from math import pi
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rvm_mpi import Job, Simulation
+
+ROOT = Path(__file__).resolve().parents[2]
+sys.path[:0] = [str(ROOT / "benchmarks"), str(ROOT / "postprocess")]
+
+from granular_waves import Wave  # noqa: E402
+from waves import PAPER, damping  # noqa: E402
+
+E = 0.9
+
+
+@pytest.fixture(scope="module")
+def linear():
+    """t, T and L of the linear theory."""
+    wave = Wave(E, pi, points=128)
+    time, temperature, density = wave.evolve(8.0, ds=0.01)
+    return time, temperature, 2 / pi * np.abs(density), wave.eigenvalues()
+
+
+def test_the_linear_theory_damps_as_the_paper(linear):
+    """The slowest oscillating mode about the homogeneous cooling state, and the maxima of L."""
+    time, _, deviation, powers = linear
+    sound = powers[np.abs(powers.imag) > 1][0]
+    assert sound.real == pytest.approx(PAPER[E], rel=0.05)
+    rate, period, _, _ = damping(time, deviation)
+    assert rate == pytest.approx(PAPER[E], rel=0.06)
+    print(f"power {sound:.3f}, rate between the maxima {rate:.3f}, period {period:.3f}")
+
+
+def test_damping_rate_and_energy_of_a_reduced_run(linear):
+    """16 cells, 192 velocities, to the second maximum."""
+    job = Job.from_file(
+        ROOT / "jobs" / "test2_specular.toml",
+        ["space.cells=[16]", "velocity.points=[192]", "time.end=8.0", "output.times=[8.0]"],
+    )
+    simulation = Simulation(job)
+    rows = [dict(simulation.diagnostics.row) for _ in simulation]
+    time, deviation, temperature = (
+        np.array([row[name] for row in rows]) for name in ("time", "density_deviation", "mean_temperature")
+    )
+    rate, period, place, _ = damping(time, deviation)
+    expected, its_period, its_place, _ = damping(linear[0], linear[2])
+    print(f"{len(rows)} steps, maxima at {place} ({its_place}), rate {rate:.3f} ({expected:.3f}), period {period:.3f}")
+    assert rate == pytest.approx(PAPER[E], rel=0.05)
+    assert rate == pytest.approx(expected, rel=0.1)
+    assert period == pytest.approx(its_period, rel=0.05)
+    assert temperature == pytest.approx(np.interp(time, linear[0], linear[1]), rel=0.02)
