@@ -1,10 +1,12 @@
 """A cooling gas by direct simulation Monte Carlo: its fourth cumulant a_2, beside the Sonine theory.
 
-`python benchmarks/dsmc.py` (about two minutes), `--particles`, `--sweeps` for more. Kernel |u| b, b constant in sigma: pairs are drawn
-at random and accepted with the probability |u|/u_max, sigma is uniform on the sphere; hard spheres in d = 3. Velocities
-are rescaled to temperature one after each sweep, which changes nothing but the time. Errors are those of the mean
-over blocks of sweeps, one standard deviation.
+`python benchmarks/dsmc.py` (a minute), `--particles`, `--sweeps` for more. Kernel |u| b, b constant in sigma: pairs are
+drawn at random and accepted with the probability |u|/u_max, sigma is uniform on the sphere; hard spheres in d = 3.
+Velocities are rescaled to temperature one after each sweep, which changes nothing but the time. Errors are those of the
+mean over blocks of sweeps, one standard deviation.
 """
+
+# ruff: noqa: NPY002  the generator that compiled code has
 
 import argparse
 import sys

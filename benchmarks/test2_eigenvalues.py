@@ -103,6 +103,7 @@ class CoolingGas:
         return g, zeta
 
     def cumulant(self):
+        """a_2 = <xi^4>/3 - 1."""
         return (self.x**4 * self.g).sum() * self.h / 3 - 1
 
     def generator(self, wave):
@@ -186,7 +187,7 @@ def main() -> None:
         for name, wave in (("pi, specular", np.pi), ("2 pi, periodic", 2 * np.pi)):
             print(f"  k = {name}" + (f", the paper's damping {PAPER[e]}" if wave == np.pi else ""))
             for v in common(one.eigenvalues(wave, 40), two.eigenvalues(wave, 40))[:4]:
-                period = f", period {2 * np.pi / v.imag:.3f}, of L {np.pi / v.imag:.3f}" if v.imag > 1e-6 else ""
+                period = f", period {2 * np.pi / v.imag:.3f}, of L {np.pi / v.imag:.3f}" if v.imag > 1e-3 else ""
                 print(f"    lambda {v.real:.4f}" + (f" +- {v.imag:.4f} i" if period else "") + period)
             at, top = peaks(*decay(coarse, wave, 60.0))
             print("    from a Maxwellian, maxima of L at log t = " + ", ".join(f"{s:.2f}" for s in at))
