@@ -156,11 +156,11 @@ def stationary(d, e, points, half_width, tolerance=1e-6):
         before = now
 
 
-def cool(d, e, points, half_width, drift="van-leer", damped=False, factor=1.0, decades=4):
+def cool(d, e, points, half_width, drift="van-leer", factor=1.0, decades=4):
     """A run from a Maxwellian until Haff's law with that factor on its rate has cooled it by so many decades.
 
     Returns a_2 of g, T over the law's T, the largest departure of log T from a straight law over the last two decades,
-    and the steps; `damped` puts the sponge between the steps, which the program itself does not have.
+    and the steps.
     """
     tables = {
         "space": {"cells": []},
@@ -174,13 +174,8 @@ def cool(d, e, points, half_width, drift="van-leer", damped=False, factor=1.0, d
     simulation = Simulation(build(**tables, time={"end": end}))
     kinetic = simulation.kinetic
     _, square = nodes(d, points, half_width)
-    block = kinetic.velocity_grid.unpack(kinetic.state()[0][0, 0])
-    keep = sponge(square, half_width).reshape(block.shape)
     times, temperatures = [0.0], [1.0]
     for _ in simulation:
-        block = kinetic.velocity_grid.unpack(kinetic.state()[0][0, 0])
-        if damped:
-            block *= keep
         times.append(simulation.time)
         temperatures.append(simulation.diagnostics.row["mean_temperature"])
     ratio = np.sqrt(temperatures) * (1 + cooling * np.array(times))
