@@ -9,9 +9,9 @@ fi
 run() { # OUTPUT JOB [OPTIONS]
     mpirun -n "${RANKS:-2}" .venv/bin/rvm run "jobs/$2.toml" --output "runs/$1" "${@:3}"
 }
-# fewer cells and three times the paper's velocities: what the damping rates need
+# four times the paper's velocities: what the damping rates need
 fine() { # NAME JOB E END
-    run "$1" "$2" --set 'space.cells=[16]' --set 'velocity.points=[192]' --set "collision.restitution=$3" \
+    run "$1" "$2" --set 'velocity.points=[256]' --set "collision.restitution=$3" \
         --set "time.end=$4" --set "output.times=[0, $4]"
 }
 

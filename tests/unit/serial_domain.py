@@ -25,7 +25,7 @@ def make_job(cells, lower, upper, sides="periodic", d=3, cooling=0.0):
         sides=full,
     )
     return SimpleNamespace(
-        space=space, velocity=SimpleNamespace(dimensions=d), collision=SimpleNamespace(cooling=cooling)
+        space=space, velocity=SimpleNamespace(dimensions=d), collision=SimpleNamespace(cooling=cooling, exponent=None)
     )
 
 

@@ -191,12 +191,17 @@ def test_combine_cool_rate_and_omega_are_their_twins():
         assert euler.combine(result, start, np.zeros_like(change), 1.0) == 5
 
         temperature = np.array([[2 * inner(q) / (d * q[0]) for q in row] for row in state])
-        cooled = state.copy()
-        euler.cool(cooled, 0.7, 1.0, 0.3)
-        after = temperature / (1 + 0.7 * state[..., 0] * np.sqrt(temperature) * 0.3) ** 2
-        expected = state[..., -1] + 0.5 * d * state[..., 0] * (after - temperature)
-        assert np.allclose(cooled[..., -1], expected, rtol=1e-13)
-        assert np.array_equal(cooled[..., :-1], state[..., :-1])
+        rate = 0.7 * state[..., 0] * 0.3
+        for power, after in (
+            (1.0, temperature / (1 + rate * np.sqrt(temperature)) ** 2),
+            (0.4, (temperature**-0.2 + 0.4 * rate) ** -5),
+            (0.0, temperature * np.exp(-2 * rate)),
+        ):
+            cooled = state.copy()
+            euler.cool(cooled, 0.7, power, 0.3)
+            expected = state[..., -1] + 0.5 * d * state[..., 0] * (after - temperature)
+            assert np.allclose(cooled[..., -1], expected, rtol=1e-13)
+            assert np.array_equal(cooled[..., :-1], state[..., :-1])
 
         sound = np.sqrt((d + 2) / d * temperature)
         u = abs(state[..., 1:-1] / state[..., :1])
