@@ -3,8 +3,7 @@
     f = f0(t, v) + Re h(t, v) exp(i k x),   d_t h + i k v h = 2 Q(f0, h)/eps
 
 about the homogeneous gas f0 as it cools from a Maxwellian, both in rescaled velocities and the clock ds = omega dt;
-drift by Fourier series, Runge-Kutta 4. The eigenvalues are those of the operator about the homogeneous cooling state
-that f0 tends to: rates in s, over the cooling rate powers of the temperature's own time 1 + C t.
+drift by Fourier series, Runge-Kutta 4. `test2_eigenvalues.py` has the modes about the homogeneous cooling state.
 
     python benchmarks/granular_waves.py                 (a minute)
 """
@@ -68,23 +67,7 @@ class Wave:
             c = sums[3] / 6
             time += np.exp(-log_omega) * np.expm1(c * ds) / c
             log_omega -= c * ds
-        self.g = state[0]
         return np.array(rows).T
-
-    def eigenvalues(self, count=6):
-        """The slowest modes about the present g0: rates in s over the cooling rate, so powers of time."""
-        n = self.xi.size
-        unit = np.eye(n)
-        cells = np.concatenate([self.g + unit, self.g - unit])
-        q = np.empty_like(cells)
-        self.operator.collide(cells, q)
-        matrix = (0.5 / self.knudsen) * (q[:n] - q[n:]).T
-        q0 = np.empty((1, n))
-        self.operator.collide(self.g[None], q0)
-        cooling = -0.5 * (self.xi**2 @ q0[0]) / self.knudsen / (self.xi**2 @ self.g)
-        drift = np.stack([self.divergence(row) for row in unit], axis=1)
-        values = np.linalg.eigvals(matrix - cooling * drift - 1j * self.k * np.diag(self.xi))
-        return values[np.argsort(-values.real)][:count] / cooling
 
 
 def main() -> None:
@@ -93,7 +76,7 @@ def main() -> None:
         time, _temperature, density = wave.evolve(30.0)
         for t in (0.5, 1, 2, 5, 10, 20):
             print(f"e = {e}, t = {t}: L = {2 / pi * abs(np.interp(t, time, density)):.3e}", end="; ")
-        print(f"\n  paper {paper}; slowest powers of time {np.round(wave.eigenvalues(), 3)}")
+        print(f"\n  paper's damping {paper}")
 
 
 if __name__ == "__main__":
