@@ -37,6 +37,11 @@ CASES = {
         "initial": WAVE,
         "fluid": {"enabled": False},
     },
+    "1d-boltzmann": {
+        "space": {"cells": [11], "boundary": {"x": {"lower": "specular", "upper": "diffuse"}}},
+        "collision": {"operator": "boltzmann", "knudsen": 0.2, "restitution": 0.95, "penalise": True},
+        "initial": WAVE,
+    },
     "2d-walls": {
         "space": {"cells": [9, 7], "boundary": {"x": {"lower": WALL, "upper": "far-field"}, "y": "specular"}},
         "collision": GRANULAR,

@@ -15,7 +15,7 @@ from conftest import SYSTEM_MPIRUN, mpi_environment
 
 PROGRAM = Path(__file__).with_name("restart_program.py")
 PATIENCE = 400.0  # seconds: on a busy machine kernels may take minutes to compile the first time
-SPACE = ["1d-macroscopic", "1d-unscaled", "2d-walls", "2d-macroscopic", "2d-kinetic"]
+SPACE = ["1d-macroscopic", "1d-unscaled", "1d-boltzmann", "2d-walls", "2d-macroscopic", "2d-kinetic"]
 
 pytestmark = pytest.mark.timeout(3 * PATIENCE)
 
