@@ -155,6 +155,16 @@ def _moment_matrix(sums, matrix):  # type: ignore[no-untyped-def]
 
 
 @njit(**KERNEL)
+def relative_mismatch(sums, density, thermal, spread):  # type: ignore[no-untyped-def]
+    """How far sums about the mean wanted are from density, zero momentum and spread, relative, the largest."""
+    return max(
+        abs(sums[0] / density - 1.0),
+        max(abs(sums[1]), abs(sums[2]), abs(sums[3])) / (density * thermal),
+        abs((sums[4] + sums[7] + sums[9]) / spread - 1.0),
+    )
+
+
+@njit(**KERNEL)
 def correct(block, target, dimensions, points_x, slab_size, x, slab, work, sums):  # type: ignore[no-untyped-def]
     """Find the factor that gives a block the moments `target`.
 
@@ -195,11 +205,7 @@ def correct(block, target, dimensions, points_x, slab_size, x, slab, work, sums)
     for attempt in range(NEWTON_STEPS):
         weighted_sums(block, centre, points_x, slab_size, x, slab, factor_x, factor_slab, powers, sums)
         square = sums[4] + sums[7] + sums[9]
-        mismatch = max(
-            abs(sums[0] / density - 1.0),
-            max(abs(sums[1]), abs(sums[2]), abs(sums[3])) / (density * thermal),
-            abs(square / spread - 1.0),
-        )
+        mismatch = relative_mismatch(sums, density, thermal, spread)
         if attempt == 0:
             first = mismatch
         if attempt > 0 and previous > LAST_STEP and not mismatch < previous:
@@ -276,11 +282,7 @@ def add_correction(block, gaussian, target, dimensions, points_x, slab_size, x, 
         store(factor_slab, n, splat(1.0))
     weighted_sums(block, centre, points_x, slab_size, x, slab, factor_x, factor_slab, powers, sums)
     square = sums[4] + sums[7] + sums[9]
-    mismatch = max(
-        abs(sums[0] / density - 1.0),
-        max(abs(sums[1]), abs(sums[2]), abs(sums[3])) / (density * thermal),
-        abs(square / spread - 1.0),
-    )
+    mismatch = relative_mismatch(sums, density, thermal, spread)
     step[0], step[1], step[2], step[3] = density - sums[0], -sums[1], -sums[2], -sums[3]
     step[4] = spread - square
     weighted_sums(gaussian, centre, points_x, slab_size, x, slab, factor_x, factor_slab, powers, sums)
