@@ -41,12 +41,10 @@ def main() -> None:
                 except ArithmeticError as error:
                     print(f"{d} {points} {half_width} {e} {error}", flush=True)
     if given.only in (None, "runs"):
-        print(
-            "whole runs over four decades: d, points, V, drift, e, a_2, T over Haff's with the rate of order 8,"
-        )
+        print("whole runs over four decades: d, points, V, drift, e, a_2, T over Haff's with the rate of order 8,")
         print("departure of log T from the law over the second half of the steps, steps")
         for points, half_width in ((32, 9.0), (48, 10.0)):
-            for drift in ("van-leer", "kappa"):
+            for drift in ("van-leer", "kappa", "seventh-order"):
                 for e in RESTITUTIONS:
                     factor = cooling_state(2, e, 8)[1]
                     a, ratio, bend, steps = cool(2, e, points, half_width, drift, factor)

@@ -226,7 +226,9 @@ class Collision(Section):
 class Scheme(Section):
     """Discretisation."""
 
-    drift: Literal["van-leer", "kappa"] = Field(default="van-leer", description='"van-leer" | "kappa"')
+    drift: Literal["van-leer", "kappa", "seventh-order"] = Field(
+        default="van-leer", description='"van-leer" | "kappa" | "seventh-order"'
+    )
     conservative: Switch = Field(default=True, description="true | false")
 
 

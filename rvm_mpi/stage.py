@@ -29,7 +29,10 @@ HEALTHY, TOO_COLD_FOR_GRID, NO_GAUSSIAN, NO_CORRECTION, NOT_POSITIVE = range(5)
 
 
 class Grid(NamedTuple):
-    """The velocity grid as numbers and arrays for the kernels (`velocity.py`)."""
+    """The velocity grid as numbers and arrays for the kernels (`velocity.py`).
+
+    stencil (2, taps) are the coefficients of the drift's linear reconstruction, without taps for Van Leer's.
+    """
 
     dimensions: int
     points: tuple[int, int, int]
@@ -43,6 +46,7 @@ class Grid(NamedTuple):
     nodes: np.ndarray
     per_spacing: tuple[float, float, float]
     half_width: tuple[float, float, float]
+    stencil: np.ndarray
 
 
 class Space(NamedTuple):
@@ -63,7 +67,6 @@ class Model(NamedTuple):
     kinetic: bool
     conservative: bool
     source: bool
-    kappa: bool
     collisions: bool
     nu: float
     relaxation: float
@@ -84,8 +87,8 @@ class Cells(NamedTuple):
     sums: np.ndarray
 
 
-def kernel_grid(grid: VelocityGrid) -> Grid:
-    """The grid's numbers and arrays as the kernels take them."""
+def kernel_grid(grid: VelocityGrid, reconstruction: str = "van-leer") -> Grid:
+    """The grid's numbers and arrays, and the drift's reconstruction by its name, as the kernels take them."""
     y = grid.slab[Y, : grid.slab_points]
     return Grid(
         grid.dimensions,
@@ -100,6 +103,7 @@ def kernel_grid(grid: VelocityGrid) -> Grid:
         grid.nodes,
         (1 / grid.spacing[0], 1 / grid.spacing[1], 1 / grid.spacing[2]),
         grid.half_width,
+        np.zeros((2, 0)) if reconstruction == "van-leer" else drift.stencil(drift.ORDERS[reconstruction]),
     )
 
 
@@ -123,14 +127,13 @@ class Work(NamedTuple):
         """Work space for rows of nx cells."""
         from rvm_mpi.domain import aligned
 
-        row = grid.slab_size + 2 * (grid.points[2] + 8)
         nvx = grid.points[0]
         return cls(
             west=aligned((grid.block,)),
             south=aligned((grid.block * nx,)),
             result=aligned((grid.block,)),
             gaussian=aligned((grid.block,)),
-            scratch=aligned((drift.SCRATCH_ROWS * row + 8,)),
+            scratch=aligned((drift.scratch_size(grid.points[2], grid.slab_size),)),
             south_moments=np.zeros((nx, 5)),
             rates=np.zeros(11),
             extremes=np.zeros(16),
@@ -443,23 +446,41 @@ def sweep(  # type: ignore[no-untyped-def]
             # transport and drift
             z = depth[j, i] if second or model.source else 0.0
             weight_old, weight_new = (0.5, 0.5 * (1.0 + z)) if second else (0.0, 1.0)
-            drift.update(
-                g,
-                cell,
-                points,
-                slab_size,
-                grid.x,
-                grid.x_face,
-                grid.slab,
-                rates,
-                out,
-                weight_old,
-                weight_new,
-                dt,
-                model.kappa,
-                work.scratch,
-                result,
-            )
+            if grid.stencil.shape[1] == 0:
+                drift.update(
+                    g,
+                    cell,
+                    points,
+                    slab_size,
+                    grid.x,
+                    grid.x_face,
+                    grid.slab,
+                    rates,
+                    out,
+                    weight_old,
+                    weight_new,
+                    dt,
+                    work.scratch,
+                    result,
+                )
+            else:
+                drift.update_linear(
+                    g,
+                    cell,
+                    points,
+                    slab_size,
+                    grid.x,
+                    grid.x_face,
+                    grid.slab,
+                    rates,
+                    out,
+                    weight_old,
+                    weight_new,
+                    dt,
+                    grid.stencil,
+                    work.scratch,
+                    result,
+                )
             if model.source:
                 at = (j * nx + i) * block
                 for n in range(0, block, 8):

@@ -162,7 +162,7 @@ class KineticStepper:
     def __init__(self, job: Job, domain: Domain, density: np.ndarray, velocity: np.ndarray, tensor: np.ndarray) -> None:
         self.job, self.domain = job, domain
         self.velocity_grid = VelocityGrid.create(job.velocity.points, job.velocity.half_width)
-        self.grid = stage.kernel_grid(self.velocity_grid)
+        self.grid = stage.kernel_grid(self.velocity_grid, job.scheme.drift)
         self.model = _model(job)
         wy, wx = domain.ghosts(GHOSTS)
         nx, ny = domain.local
@@ -537,7 +537,6 @@ def _model(job: Job) -> Model:
         kinetic=job.scaling.kind == "kinetic",
         conservative=bool(job.scheme.conservative),
         source=collision.operator == "boltzmann",
-        kappa=job.scheme.drift == "kappa",
         collisions=collisions,
         nu=1.0 - 1.0 / prandtl if collisions and prandtl is not None else 0.0,
         relaxation=law.coefficient / knudsen if law is not None and knudsen is not None else 0.0,

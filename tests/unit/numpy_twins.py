@@ -85,10 +85,15 @@ def signed(up, down, xi):
     return np.where(xi > 0.0, up, down)
 
 
-def drift_rate(grid, g, turning, gradient, push, kappa=False):
+#: linear fluxes through a face: of 4 or 8 nodes, central, as Shu (ICASE 97-65) and others list them
+CENTRAL = {3: np.array([-1, 7, 7, -1]) / 12, 7: np.array([-3, 29, -139, 533, 533, -139, 29, -3]) / 840}
+
+
+def drift_rate(grid, g, turning, gradient, push, order=0):
     """-div_xi (a g), a = -(turning + gradient . xi) xi + push, closed at the edge of the box.
 
-    gradient: along x and y, each a pair for velocities that go up and down in that direction.
+    gradient: along x and y, each a pair for velocities that go up and down in that direction; order: 0 for Van Leer's
+    limiter, else that of the linear reconstruction.
     """
     rate = np.zeros(g.shape)
     for axis, n in enumerate(grid.points):
@@ -104,17 +109,21 @@ def drift_rate(grid, g, turning, gradient, push, kappa=False):
             -along * where[axis] + push[axis], [*np.array(grid.points) - np.eye(3, dtype=int)[axis]]
         )
         speed, values = np.moveaxis(speed, axis, 0), np.moveaxis(g, axis, 0)
-        step = np.diff(values, axis=0)
-        bend = np.zeros_like(values)
-        if kappa:
-            bend[1:-1] = (step[:-1] - step[1:]) / 6.0
-            middle = 0.5 * (values[:-1] + values[1:])
-            face = np.where(speed > 0.0, middle + bend[:-1], middle + bend[1:])
+        through = np.zeros((n + 1, *values.shape[1:]))
+        if order:
+            where = nodes(grid)
+            along = turning + sum(signed(*gradient[q], where[q]) * where[q] for q in range(2))
+            product = np.moveaxis((-along * where[axis] + push[axis]) * g, axis, 0)
+            beyond = [((order + 1) // 2,) * 2, (0, 0), (0, 0)]
+            steps = np.diff(np.pad(values, beyond), order, axis=0)[1:-1]
+            for tap, weight in enumerate(CENTRAL[order]):
+                through[1:-1] += weight * np.pad(product, beyond)[tap + 1 : tap + n]
+            through[1:-1] -= CENTRAL[order][-1] * np.abs(speed) * steps
         else:
+            step = np.diff(values, axis=0)
+            bend = np.zeros_like(values)
             bend[1:-1] = half_slope(step[:-1], step[1:])
-            face = np.where(speed > 0.0, values[:-1] + bend[:-1], values[1:] - bend[1:])
-        through = np.zeros((n + 1, *face.shape[1:]))
-        through[1:-1] = speed * face
+            through[1:-1] = speed * np.where(speed > 0.0, values[:-1] + bend[:-1], values[1:] - bend[1:])
         rate -= np.moveaxis(np.diff(through, axis=0), 0, axis) / h
     return rate
 
@@ -194,10 +203,12 @@ class Twin:
     spacing : tuple of floats
         One for each space dimension, x first.
     model : stage.Model
+    order : int
+        Of the drift's linear reconstruction, 0 for Van Leer's.
     """
 
-    def __init__(self, grid, spacing, model):
-        self.grid, self.spacing, self.model = grid, spacing, model
+    def __init__(self, grid, spacing, model, order=0):
+        self.grid, self.spacing, self.model, self.order = grid, spacing, model, order
         self.d, self.weight = grid.dimensions, grid.weight
 
     def transport(self, g, omega):
@@ -309,7 +320,7 @@ class Twin:
         explicit = np.empty(g.shape)
         for at in np.ndindex(*omega.shape):
             push = beta[at] * velocity[at] / omega[at]
-            drift = drift_rate(grid, g[at], turning[at], gradient[:, :, at[0], at[1]], push, model.kappa)
+            drift = drift_rate(grid, g[at], turning[at], gradient[:, :, at[0], at[1]], push, self.order)
             explicit[at] = g[at] + dt * (rate[at] + drift)
         z = depth if second else np.zeros(omega.shape)
         if second:

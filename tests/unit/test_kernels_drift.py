@@ -13,17 +13,21 @@ SETTINGS = settings(max_examples=60, deadline=None)
 RATE = st.floats(-3.0, 3.0)
 
 
-def run(grid, g, before, rate, rates, weights, dt, kappa, rng, work=None):
+RECONSTRUCTIONS = ["van-leer", *drift.ORDERS]
+
+
+def run(grid, g, before, rate, rates, weights, dt, rng, name="van-leer", work=None):
     """The updated block, of the middle one of three cells."""
-    kernel = kernel_grid(grid)
+    kernel = kernel_grid(grid, name)
     flat, at = laid_out(grid, np.stack([random_g(grid, rng), g, random_g(grid, rng)]), rng)
     old, _ = laid_out(grid, np.stack([g, before, g]), rng)
     result = pack(grid, rate)
     work = work or Work.create(kernel, 1)
     numbers = np.array([*rates, *kernel.per_spacing])
-    drift.update(
+    update, more = (drift.update, ()) if name == "van-leer" else (drift.update_linear, (kernel.stencil,))
+    update(
         flat, at + grid.block, grid.points, grid.slab_size, kernel.x, kernel.x_face, kernel.slab, numbers, old,
-        *weights, dt, kappa, work.scratch, result,
+        *weights, dt, *more, work.scratch, result,
     )  # fmt: skip
     return grid.unpack(result)
 
@@ -38,42 +42,43 @@ def in_use(d):
     points=st.sampled_from(SHAPES),
     seed=st.integers(0, 2**32 - 1),
     signed=st.booleans(),
-    kappa=st.booleans(),
+    name=st.sampled_from(RECONSTRUCTIONS),
     rates=st.tuples(*[RATE] * 8),
     dt=st.floats(0.0, 0.5),
     second=st.booleans(),
     z=st.floats(0.0, 5.0),
 )
-def test_update(points, seed, signed, kappa, rates, dt, second, z):
+def test_update(points, seed, signed, name, rates, dt, second, z):
     grid, rng = make_grid(points), np.random.default_rng(seed)
     d = len(points)
     # omega's gradient along y and pushes along directions that are not there do not occur
     rates = np.array(rates) * in_use(d)
     g, before, rate = (random_g(grid, rng, signed=signed) for _ in range(3))
     weights = (0.5, 0.5 * (1.0 + z)) if second else (0.0, 1.0)
-    found = run(grid, g, before, rate, rates, weights, dt, kappa, rng)
-    total = rate + drift_rate(grid, g, rates[0], rates[1:5].reshape(2, 2), rates[5:], kappa)
+    found = run(grid, g, before, rate, rates, weights, dt, rng, name)
+    total = rate + drift_rate(grid, g, rates[0], rates[1:5].reshape(2, 2), rates[5:], drift.ORDERS.get(name, 0))
     wanted = weights[0] * before + weights[1] * (g + dt * total)
     size = np.abs(g).max() * (1.0 + 100.0 * dt * sum(map(abs, rates))) + dt * np.abs(rate).max() + np.abs(before).max()
     np.testing.assert_allclose(found, wanted, rtol=1e-13, atol=1e-14 * size * weights[1] * 10)
 
 
-@pytest.mark.parametrize("kappa", [False, True])
+@pytest.mark.parametrize("name", RECONSTRUCTIONS)
 @pytest.mark.parametrize("points", SHAPES)
-def test_mass_stays_in_the_box(points, kappa):
+def test_mass_stays_in_the_box(points, name):
     grid, rng = make_grid(points), np.random.default_rng(1)
     g = random_g(grid, rng)
     rates = np.array([0.7, -0.3, -0.2, 0.4, 0.6, 0.5, 0.5, 0.5]) * in_use(len(points))
-    found = run(grid, g, g, 0.0 * g, rates, (0.0, 1.0), 0.1, kappa, rng)
+    found = run(grid, g, g, 0.0 * g, rates, (0.0, 1.0), 0.1, rng, name)
     assert abs(found.sum() / g.sum() - 1.0) < 1e-14
     assert np.abs(found - g).max() > 1e-3
 
 
+@pytest.mark.parametrize("name", RECONSTRUCTIONS)
 @pytest.mark.parametrize("points", SHAPES)
-def test_nothing_moves_where_scaling_and_drag_cancel(points):
+def test_nothing_moves_where_scaling_and_drag_cancel(points, name):
     grid, rng = make_grid(points), np.random.default_rng(2)
     g = random_g(grid, rng)
-    found = run(grid, g, g, 0.0 * g, (0.0,) * 8, (0.0, 1.0), 0.3, False, rng)
+    found = run(grid, g, g, 0.0 * g, (0.0,) * 8, (0.0, 1.0), 0.3, rng, name)
     np.testing.assert_array_equal(found, g)
 
 
@@ -85,14 +90,51 @@ def test_positive_up_to_courant_number_one_half(points):
         rates = rng.uniform(-1, 1, 8) * in_use(len(points))
         turning = abs(rates[0]) + 7.0 * (np.abs(rates[1:3]).max() + np.abs(rates[3:5]).max())
         courant = sum((7.0 * turning + abs(rates[5 + q])) / grid.spacing[q] for q in range(len(points)))
-        found = run(grid, g, g, 0.0 * g, rates, (0.0, 1.0), 0.5 / courant, False, rng)
+        found = run(grid, g, g, 0.0 * g, rates, (0.0, 1.0), 0.5 / courant, rng)
         assert found.min() >= -1e-16 * g.max()
 
 
-def test_work_space_carries_nothing_from_one_cell_to_the_next():
+@pytest.mark.parametrize("name", RECONSTRUCTIONS)
+def test_work_space_carries_nothing_from_one_cell_to_the_next(name):
     grid, rng = make_grid((8, 6, 5)), np.random.default_rng(5)
     work = Work.create(kernel_grid(grid), 1)
     g, rates = random_g(grid, rng), (0.5, 0.2, 0.3, -0.3, -0.1, 0.1, 0.2, 0.3)
-    alone = run(grid, g, g, g, rates, (0.0, 1.0), 0.1, False, rng)
-    run(grid, 1e6 * random_g(grid, rng), g, g, rates, (0.5, 0.5), 0.1, False, rng, work)
-    np.testing.assert_array_equal(run(grid, g, g, g, rates, (0.0, 1.0), 0.1, False, rng, work), alone)
+    alone = run(grid, g, g, g, rates, (0.0, 1.0), 0.1, rng, name)
+    run(grid, 1e6 * random_g(grid, rng), g, g, rates, (0.5, 0.5), 0.1, rng, name, work)
+    np.testing.assert_array_equal(run(grid, g, g, g, rates, (0.0, 1.0), 0.1, rng, name, work), alone)
+
+
+def rate_of_change(grid, g, rates, name):
+    """-div_xi (a g) as the kernel has it."""
+    rng = np.random.default_rng(6)
+    return run(grid, g, g, 0.0 * g, rates, (0.0, 1.0), 1.0, rng, name) - g
+
+
+@pytest.mark.parametrize(("name", "order"), drift.ORDERS.items())
+@pytest.mark.parametrize(
+    "rates", [(0.8, 0, 0, 0, 0, 0.3, 0, 0), (0, 0.4, 0.4, 0, 0, 0, 0, 0)], ids=["dilation", "gradient"]
+)
+def test_order_of_a_linear_reconstruction(name, order, rates):
+    errors = []
+    for points in (48, 96):
+        grid = make_grid((points,), 8.0)
+        xi = grid.x[:, None, None]
+        g = np.exp(-0.5 * (xi - 0.7) ** 2)
+        turning, push = rates[0] + rates[1] * xi, rates[5]
+        exact = (turning + rates[1] * xi) * g + (-turning * xi + push) * (xi - 0.7) * g
+        errors.append(np.abs(rate_of_change(grid, g, rates, name) - exact).sum() * grid.weight)
+    assert np.log2(errors[0] / errors[1]) > order - 0.6
+
+
+@pytest.mark.parametrize(("name", "ceilings"), [("kappa", (1e-3, 0.08)), ("seventh-order", (1e-9, 6e-4))])
+def test_heat_flux_and_fourth_moment_on_a_coarse_grid(name, ceilings):
+    """A gradient of omega makes the heat flux it should, a dilation leaves a Maxwellian's fourth cumulant."""
+    grid = make_grid((32,), 9.0)
+    xi = grid.x[:, None, None]
+    g = np.exp(-0.5 * xi**2) / np.sqrt(2 * np.pi)
+    gradient = rate_of_change(grid, g, (0, 1.0, 1.0, 0, 0, 0, 0, 0), name)
+    dilation = rate_of_change(grid, g, (1.0, 0, 0, 0, 0, 0, 0, 0), name)
+    # d_t <xi^3> = -3 <xi^4> = -9, d_t <xi^4> = -4 <xi^4> = -12, the latter beside d_t <xi^2> = -2
+    third, fourth, second = (np.sum(xi**n * r) * grid.weight for n, r in ((3, gradient), (4, dilation), (2, dilation)))
+    assert third == pytest.approx(-9.0, rel=ceilings[0])
+    assert fourth / second == pytest.approx(6.0, rel=ceilings[1])

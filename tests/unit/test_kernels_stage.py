@@ -11,6 +11,7 @@ from numpy_twins import SHAPES, Twin, both_sides, gaussian, make_grid, pack, ran
 from rvm_mpi import stage
 from rvm_mpi.domain import Domain
 from rvm_mpi.job import Job
+from rvm_mpi.kinetic.drift import ORDERS
 from rvm_mpi.stepping import KineticStepper
 
 SETTINGS = settings(max_examples=40, deadline=None)
@@ -140,6 +141,10 @@ STEPS = {
     "kinetic scaling, one dimension": ({**BASE, **LINE, "collision": {**GRANULAR, **RELAX}}, 1e-9),
     "kinetic scaling, no collisions": ({**BASE, **PLANE, "collision": {"operator": "none"}}, 1e-11),
     "kinetic scaling, kappa": ({**BASE, **PLANE, "collision": GRANULAR, "scheme": {"drift": "kappa"}}, 1e-9),
+    "kinetic scaling, seventh order": (
+        {**BASE, **LINE, "collision": {**GRANULAR, **RELAX}, "scheme": {"drift": "seventh-order"}},
+        1e-9,
+    ),
     "given scaling, conservative": ({**BASE, **PLANE, **GIVEN, "collision": GRANULAR}, 1e-9),
     "given scaling, the paper's": (
         {**BASE, **PLANE, **GIVEN, "collision": GRANULAR, "scheme": {"conservative": False}},
@@ -169,7 +174,7 @@ def test_a_step(name):
     stepper = KineticStepper(job, Domain(job), density, velocity, stress)
     rescaled = job.scaling.kind == "kinetic"
     omega_end = None if rescaled else stepper.omega * rng.uniform(0.99, 1.01, (ny, nx))
-    twin = Twin(stepper.velocity_grid, job.space.spacing, stepper.model)
+    twin = Twin(stepper.velocity_grid, job.space.spacing, stepper.model, ORDERS.get(job.scheme.drift, 0))
     wy, wx = stepper.space.wy, stepper.space.wx
     inner = np.s_[wy : wy + ny, wx : wx + nx]
 
