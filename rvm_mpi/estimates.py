@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from rvm_mpi import kinetic_theory
-from rvm_mpi.collisions.boltzmann_weights import SUPPORT, weight_bytes
+from rvm_mpi.collisions.boltzmann_weights import SUPPORT, Rows
 from rvm_mpi.job_text import JobError
 from rvm_mpi.states import macroscopic_state
 
@@ -174,21 +174,23 @@ def _rounded_up(value: float) -> float:
 
 @dataclass(frozen=True)
 class Memory:
-    """Bytes of one rank, the largest one."""
+    """Bytes of one rank, the largest one, and what the ranks of a node have in common."""
 
     g: float
     """Two ghosted copies of g."""
     fluxes: float
     """A row of fluxes and the cells in hand."""
     operator: float
-    """The Boltzmann operator: its weights, while they are made, and the rate of g."""
+    """The Boltzmann operator: its buffers and the rate of g, without the weights."""
+    weights: float
+    """The Boltzmann operator's weights: once a node, whatever the number of ranks on it."""
     fields: float
     """Macroscopic fields: moments, omega, the fluid system's stages, what is written."""
     libraries: float
 
     @property
     def total(self) -> float:
-        """All of it."""
+        """All that is this rank's own."""
         return self.g + self.fluxes + self.operator + self.fields + self.libraries
 
 
@@ -213,11 +215,13 @@ def memory(job: Job, ranks: int = 1) -> Memory:
         return (n_x + 2 * wx) * (n_y + 2 * wy)
 
     per_cell = 4 * (d + 2) + d * (d + 3) + 20
-    operator = 0.0
+    operator, weights = 0.0, 0.0
     if job.collision.operator == "boltzmann":
-        operator = 8.0 * (n_x * n_y + 60) * block + MAKING_WEIGHTS * weight_bytes(tuple(job.velocity.points))
+        rows = Rows.create(tuple(job.velocity.points))
+        operator, weights = 8.0 * (n_x * n_y + 60) * block + rows.nbytes, float(rows.weight_bytes)
     return Memory(
         operator=operator,
+        weights=weights,
         g=2 * 8.0 * ghosted(GHOSTS_OF_G) * block,
         fluxes=8.0 * (n_x + 4) * block if job.space.dimensions == 2 else 8.0 * 4 * block,
         fields=8.0 * ghosted(GHOSTS_OF_FLUID) * per_cell,
@@ -240,7 +244,7 @@ def check_weights(job: Job, available: float | None = None) -> None:
     points = tuple(job.velocity.points)
 
     def needed(points: tuple[int, ...]) -> float:
-        return float(MAKING_WEIGHTS * weight_bytes(points))
+        return float(MAKING_WEIGHTS * Rows.create(points).weight_bytes)
 
     if needed(points) <= available:
         return
@@ -249,7 +253,7 @@ def check_weights(job: Job, available: float | None = None) -> None:
         fitting = tuple(max(4, int(0.9 * n) // 2 * 2) for n in fitting)
     raise JobError(
         f"velocity.points: the Boltzmann operator's weights do not fit (value {list(points)}: "
-        f"{bytes_in_words(weight_bytes(points))} and {MAKING_WEIGHTS} times that while they are made, of "
+        f"{bytes_in_words(Rows.create(points).weight_bytes)} and {MAKING_WEIGHTS} times that while they are made, of "
         f"{bytes_in_words(available)}; allowed such as {list(fitting)})"
     )
 

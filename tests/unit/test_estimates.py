@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rvm_mpi import estimates
+from rvm_mpi.collisions.boltzmann_weights import Rows
 from rvm_mpi.job import Job, JobError
 
 
@@ -255,11 +256,25 @@ def test_durations_in_words(seconds, words):
 
 
 def test_boltzmann_weights_that_do_not_fit_are_refused_with_what_would():
-    """24^3 points take 18 MB of weights and eight times that while they are made: not in 100 MB."""
+    """24^3 points take 16 MB of weights and eight times that while they are made: not in 100 MB."""
     job = make(
         cells=(), velocity={"points": [24, 24, 24]}, collision={"operator": "boltzmann", "knudsen": 1, "restitution": 1}
     )
     estimates.check_weights(job)
-    with pytest.raises(JobError, match=r"17\.9 MB.*allowed such as \[(20|18), (20|18), (20|18)\]"):
+    with pytest.raises(JobError, match=r"16\.3 MB.*allowed such as \[(20|18), (20|18), (20|18)\]"):
         estimates.check_weights(job, available=100e6)
-    assert estimates.memory(job).operator > 8 * 17.9e6
+
+
+def test_boltzmann_weights_are_counted_once_a_node():
+    """What a rank needs for itself shrinks with its share of the cells, the weights do not multiply."""
+    job = make(
+        cells=(12, 8),
+        velocity={"points": [16, 16, 16]},
+        collision={"operator": "boltzmann", "knudsen": 1, "restitution": 1},
+    )
+    one, four = estimates.memory(job, 1), estimates.memory(job, 4)
+    weights = Rows.create((16, 16, 16)).weight_bytes
+    assert one.weights == four.weights == weights
+    assert one.operator - four.operator == 8 * 72 * 16**3
+    assert one.total == one.g + one.fluxes + one.operator + one.fields + estimates.LIBRARIES
+    assert estimates.memory(make()).weights == 0
