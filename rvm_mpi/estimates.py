@@ -25,6 +25,14 @@ LIBRARIES = 225e6
 """Bytes a process holds before it has any array: Python, numpy, numba and its kernels, PETSc, MPI, HDF5."""
 SECONDS_PER_CELL = 8e-9
 """Nominal time of one stage for one phase-space cell on one core; `rvm bench` measures a machine's own."""
+SECONDS_PER_STEP = 1.5e-3
+"""Nominal time of what a step costs whatever the grid: calls, reductions, a row of the history."""
+OPERATIONS_PER_PAIR = 10
+"""Floating-point operations of the Boltzmann operator's sum for a pair of modes (`boltzmann_weights.Rows.products`)."""
+OPERATIONS_PER_SECOND = 4e10
+"""Nominal speed of that sum on one core: half of the peak of one with AVX-512 (benchmarks/boltzmann.py)."""
+SECONDS_PER_NODE = 8e-9
+"""Nominal time of that operator's transforms and of its packing, a velocity node."""
 STAGES = 2
 GHOSTS_OF_G = 2
 GHOSTS_OF_FLUID = 3
@@ -202,11 +210,8 @@ def memory(job: Job, ranks: int = 1) -> Memory:
     JobError
         If so many ranks cannot share the cells.
     """
-    from rvm_mpi.domain import partition
-
-    split = partition(job.space.cells, ranks)
     d = job.velocity.dimensions
-    n_x, n_y = (ceil(n / p) for n, p in zip((*job.space.cells, 1, 1), split, strict=False))
+    n_x, n_y = largest_share(job, ranks)
     block = cell_block(job.velocity.points)
 
     def ghosted(width: int) -> int:
@@ -227,6 +232,15 @@ def memory(job: Job, ranks: int = 1) -> Memory:
         fields=8.0 * ghosted(GHOSTS_OF_FLUID) * per_cell,
         libraries=LIBRARIES,
     )
+
+
+def largest_share(job: Job, ranks: int) -> tuple[int, int]:
+    """Cells along x and y of the rank that owns the most; `JobError` if so many ranks cannot share them."""
+    from rvm_mpi.domain import partition
+
+    split = partition(job.space.cells, ranks)
+    nx, ny = (*job.space.cells, 1, 1)[:2]
+    return ceil(nx / split[0]), ceil(ny / split[1])
 
 
 def check_weights(job: Job, available: float | None = None) -> None:
@@ -411,9 +425,23 @@ def stretched_time(job: Job) -> Callable[[float], float]:
 
 
 def run_seconds(job: Job, ranks: int = 1, seconds_per_cell: float = SECONDS_PER_CELL) -> float:
-    """Wall-clock seconds of a run on so many cores at the least, from `steps` and a nominal speed."""
-    cells = prod(job.space.cells) * prod(job.velocity.points)
-    return steps(job) * STAGES * cells * seconds_per_cell / ranks
+    """Wall-clock seconds of a run on so many cores at the least, from `steps` and nominal speeds."""
+    cells = prod(job.space.cells) * cell_block(job.velocity.points)
+    stage = cells * seconds_per_cell / ranks + operator_seconds(job, ranks)
+    return steps(job) * (STAGES * stage + SECONDS_PER_STEP)
+
+
+def operator_seconds(job: Job, ranks: int = 1) -> float:
+    """Seconds of one evaluation of the Boltzmann operator on the rank with the most cells; 0 for other operators.
+
+    It takes eight cells of a row at a time: one alone costs as much as eight.
+    """
+    if job.collision.operator != "boltzmann":
+        return 0.0
+    n_x, n_y = largest_share(job, ranks)
+    points = tuple(job.velocity.points)
+    pairs = OPERATIONS_PER_PAIR * Rows.create(points).products / OPERATIONS_PER_SECOND
+    return n_y * ceil(n_x / LANES) * LANES * (pairs + prod(points) * SECONDS_PER_NODE)
 
 
 # --- physics

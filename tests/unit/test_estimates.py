@@ -191,7 +191,32 @@ def test_steps_of_a_cooling_gas_follow_haffs_law():
 def test_run_time_counts_cells_stages_and_ranks():
     job = make(cells=(64,), time={"max_steps": 10})
     cells = 64 * 24 * 24 * 8
-    assert estimates.run_seconds(job, 2, 1e-9) == pytest.approx(10 * estimates.STAGES * cells * 1e-9 / 2)
+    fixed = 10 * estimates.SECONDS_PER_STEP
+    assert estimates.run_seconds(job, 2, 1e-9) == pytest.approx(fixed + 10 * estimates.STAGES * cells * 1e-9 / 2)
+    line = make(cells=(64,), points=(24,), time={"max_steps": 10}, collision={"operator": "none"})
+    # in one velocity dimension a node takes the room of eight
+    assert estimates.run_seconds(line, 1, 1e-9) == pytest.approx(fixed + 10 * estimates.STAGES * 64 * 24 * 8 * 1e-9)
+
+
+def pairs_of_modes(largest):
+    """Pairs {l, m} of modes -largest..largest with |l + m| <= largest and l + m after zero, by counting."""
+    modes = np.stack(np.meshgrid(*[np.arange(-largest, largest + 1)] * 2, indexing="ij"), axis=-1).reshape(-1, 2)
+    total = modes[:, None] + modes[None, :]
+    kept = (np.abs(total) <= largest).all(axis=2)
+    after = (total[..., 0] > 0) | ((total[..., 0] == 0) & (total[..., 1] > 0))
+    return int(np.triu(kept & after).sum())
+
+
+@pytest.mark.parametrize(("cells", "ranks", "counted"), [((), 1, 8), ((12,), 1, 16), ((30,), 2, 16), ((9, 4), 1, 64)])
+def test_run_time_of_the_boltzmann_operator(cells, ranks, counted):
+    """Ten operations a pair of modes, in eight cells of a row at once."""
+    boltzmann = {"operator": "boltzmann", "knudsen": 1, "restitution": 0.9}
+    job = make(cells=cells, points=(10, 10), half_width=7, collision=boltzmann, time={"max_steps": 1})
+    work = 10 * pairs_of_modes(4) / estimates.OPERATIONS_PER_SECOND + 100 * estimates.SECONDS_PER_NODE
+    assert estimates.operator_seconds(job, ranks) == pytest.approx(counted * work)
+    rest = estimates.SECONDS_PER_STEP + 2 * int(np.prod(cells)) * 10 * 16 * 1e-9 / ranks
+    assert estimates.run_seconds(job, ranks, 1e-9) == pytest.approx(2 * counted * work + rest)
+    assert estimates.operator_seconds(make(), 1) == 0
 
 
 # --- memory
