@@ -116,7 +116,8 @@ def shared_weights(comm: Any, points: tuple[int, ...], restitution: float, expon
     Raises
     ------
     JobError
-        On every rank, if the weights could not be made on one node.
+        On every rank, if the weights could not be made on one node; on one rank of a node at least, if that has no
+        room for them.
     """
     rows = Rows.create(points)
     weights, first, synchronise = _once_a_node(comm, rows.weight_bytes)
@@ -145,6 +146,12 @@ def _once_a_node(comm: Any, size: int) -> tuple[np.ndarray, bool, Callable[[], N
 
     node = comm.Split_type(MPI.COMM_TYPE_SHARED)
     # never freed: that is collective, and no rank knows when the last of them has let go of the weights
-    window = MPI.Win.Allocate_shared(size if node.rank == 0 else 0, 8, comm=node)
+    try:
+        window = MPI.Win.Allocate_shared(size if node.rank == 0 else 0, 8, comm=node)
+    except MPI.Exception as error:  # on one rank alone, perhaps: the command ends the others
+        raise JobError(
+            f"velocity.points: no room for {size / 1e6:.3g} MB of Boltzmann weights in the memory that the ranks of a "
+            f"node share, often /dev/shm; take fewer points, or one rank ({one_line(str(error))})"
+        ) from None
     memory: Any = window.Shared_query(0)[0]
     return np.frombuffer(memory, dtype=float, count=size // 8), node.rank == 0, window.Fence

@@ -29,11 +29,12 @@ def test_a_rank_that_fails_tells_the_others(mpirun, ranks):
     assert done.stdout.rstrip().endswith("MemoryError: no room for the weights")
 
 
-def test_the_command_ends_with_one_line(mpirun, tmp_path):
+@pytest.mark.parametrize(("case", "words"), [("command", "could not be made"), ("room", "no room for")])
+def test_the_command_ends_with_one_line(mpirun, tmp_path, case, words):
     job = tmp_path / "job.toml"
     job.write_text(tomli_w.dumps(rank_jobs.JOBS["boltzmann"]))
-    done = mpirun(2, PROGRAM, "command", job, "--output", tmp_path / "run")
+    done = mpirun(2, PROGRAM, case, job, "--output", tmp_path / "run")
     assert done.returncode == 2
     lines = [line for line in done.stderr.splitlines() if "rvm:" in line]
-    assert len(lines) == 1 and "could not be made" in lines[0]
+    assert len(lines) == 1 and words in lines[0]
     assert "Traceback" not in done.stderr and not (tmp_path / "run").exists()

@@ -2,6 +2,7 @@
 
 import hashlib
 import sys
+import time
 
 from mpi4py import MPI
 
@@ -53,4 +54,17 @@ def command() -> int:
     return main(["run", *sys.argv[2:]])
 
 
-sys.exit({"share": share, "fail": fail_on_one, "command": command}[sys.argv[1]]())
+def without_room() -> int:
+    """`rvm run` where the first rank has no shared memory and the others wait for it, as Open MPI has it."""
+
+    class Full:
+        def Allocate_shared(*_, **__):
+            if world.rank == 0:
+                raise MPI.Exception(MPI.ERR_INTERN)
+            time.sleep(600)
+
+    MPI.Win = Full
+    return main(["run", *sys.argv[2:]])
+
+
+sys.exit({"share": share, "fail": fail_on_one, "command": command, "room": without_room}[sys.argv[1]]())
