@@ -3,21 +3,15 @@
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
-if [ "$(id -u)" = 0 ]; then # Open MPI refuses root unless told
-    export OMPI_ALLOW_RUN_AS_ROOT=1 OMPI_ALLOW_RUN_AS_ROOT_CONFIRM=1
-fi
-run() { # OUTPUT JOB [OPTIONS]
-    mpirun -n "${RANKS:-2}" .venv/bin/rvm run "jobs/$2.toml" --output "runs/$1" "${@:3}"
-}
 # four times the paper's velocities: what the damping rates need
 fine() { # NAME JOB E END
-    run "$1" "$2" --set 'velocity.points=[256]' --set "collision.restitution=$3" \
+    jobs/run.sh "$1" "$2" --set 'velocity.points=[256]' --set "collision.restitution=$3" \
         --set "time.end=$4" --set "output.times=[0, $4]"
 }
 
-run test2_macroscopic test2_macroscopic
-run test2_classical test2_classical || [ $? = 3 ] # may lose the gas before its end
-run test2_specular test2_specular
+jobs/run.sh test2_macroscopic test2_macroscopic
+jobs/run.sh test2_classical test2_classical || [ $? = 3 ] # may lose the gas before its end
+jobs/run.sh test2_specular test2_specular
 fine test2_specular_e080 test2_specular 0.80 250
 fine test2_specular_e085 test2_specular 0.85 50
 fine test2_specular_e090 test2_specular 0.90 20

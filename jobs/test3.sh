@@ -3,21 +3,14 @@
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
-if [ "$(id -u)" = 0 ]; then # Open MPI refuses root unless told
-    export OMPI_ALLOW_RUN_AS_ROOT=1 OMPI_ALLOW_RUN_AS_ROOT_CONFIRM=1
-fi
-run() { # OUTPUT JOB [OPTIONS]
-    mpirun -n "${RANKS:-2}" .venv/bin/rvm run "jobs/$2.toml" --output "runs/$1" "${@:3}"
-}
-
-run test3_macroscopic test3_macroscopic # a step as short as 1e-5: some minutes
-run test3_classical test3_classical
-run test3_kinetic test3_kinetic
-run test3_kinetic_150 test3_kinetic --set 'space.cells=[150]'
+jobs/run.sh test3_macroscopic test3_macroscopic # a step as short as 1e-5: some minutes
+jobs/run.sh test3_classical test3_classical
+jobs/run.sh test3_kinetic test3_kinetic
+jobs/run.sh test3_kinetic_150 test3_kinetic --set 'space.cells=[150]'
 # what they converge to: four runs that agree
-run test3_kinetic_fine test3_kinetic --set 'velocity.points=[128]'
-run test3_kinetic_150_fine test3_kinetic --set 'velocity.points=[128]' --set 'space.cells=[150]'
-run test3_van_leer_fine test3_kinetic --set 'velocity.points=[128]' --set 'scheme.drift="van-leer"'
-run test3_classical_fine test3_classical --set 'velocity.points=[128]'
+jobs/run.sh test3_kinetic_fine test3_kinetic --set 'velocity.points=[128]'
+jobs/run.sh test3_kinetic_150_fine test3_kinetic --set 'velocity.points=[128]' --set 'space.cells=[150]'
+jobs/run.sh test3_van_leer_fine test3_kinetic --set 'velocity.points=[128]' --set 'scheme.drift="van-leer"'
+jobs/run.sh test3_classical_fine test3_classical --set 'velocity.points=[128]'
 
 .venv/bin/python postprocess/profiles.py --normalised --times 0.25 0.75 2 -- runs/test3_{kinetic,kinetic_fine,macroscopic,classical}

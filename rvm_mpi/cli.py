@@ -218,6 +218,11 @@ def _grid_lines(job: Job, ranks: int) -> Iterator[str]:
         + (f"Boltzmann operator {words(size.operator)}, " if size.operator else "")
         + f"fields {words(size.fields)}, program and libraries {words(size.libraries)}",
     )
+    if size.weights:
+        yield _row(
+            "  and once a node",
+            f"{words(size.weights)} of Boltzmann weights, {estimates.MAKING_WEIGHTS} times that while they are made",
+        )
 
 
 def _step_lines(job: Job, ranks: int) -> Iterator[str]:

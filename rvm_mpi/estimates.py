@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from rvm_mpi import kinetic_theory
-from rvm_mpi.collisions.boltzmann_weights import SUPPORT, weight_bytes
+from rvm_mpi.collisions.boltzmann_weights import SUPPORT, Rows
 from rvm_mpi.job_text import JobError
 from rvm_mpi.states import macroscopic_state
 
@@ -25,6 +25,14 @@ LIBRARIES = 225e6
 """Bytes a process holds before it has any array: Python, numpy, numba and its kernels, PETSc, MPI, HDF5."""
 SECONDS_PER_CELL = 8e-9
 """Nominal time of one stage for one phase-space cell on one core; `rvm bench` measures a machine's own."""
+SECONDS_PER_STEP = 1.5e-3
+"""Nominal time of what a step costs whatever the grid: calls, reductions, a row of the history."""
+OPERATIONS_PER_PAIR = 10
+"""Floating-point operations of the Boltzmann operator's sum for a pair of modes (`boltzmann_weights.Rows.products`)."""
+OPERATIONS_PER_SECOND = 4e10
+"""Nominal speed of that sum on one core: half of the peak of one with AVX-512 (benchmarks/boltzmann.py)."""
+SECONDS_PER_NODE = 8e-9
+"""Nominal time of that operator's transforms and of its packing, a velocity node."""
 STAGES = 2
 GHOSTS_OF_G = 2
 GHOSTS_OF_FLUID = 3
@@ -174,21 +182,23 @@ def _rounded_up(value: float) -> float:
 
 @dataclass(frozen=True)
 class Memory:
-    """Bytes of one rank, the largest one."""
+    """Bytes of one rank, the largest one, and what the ranks of a node have in common."""
 
     g: float
     """Two ghosted copies of g."""
     fluxes: float
     """A row of fluxes and the cells in hand."""
     operator: float
-    """The Boltzmann operator: its weights, while they are made, and the rate of g."""
+    """The Boltzmann operator: its buffers and the rate of g, without the weights."""
+    weights: float
+    """The Boltzmann operator's weights: once a node, whatever the number of ranks on it."""
     fields: float
     """Macroscopic fields: moments, omega, the fluid system's stages, what is written."""
     libraries: float
 
     @property
     def total(self) -> float:
-        """All of it."""
+        """All that is this rank's own."""
         return self.g + self.fluxes + self.operator + self.fields + self.libraries
 
 
@@ -200,11 +210,8 @@ def memory(job: Job, ranks: int = 1) -> Memory:
     JobError
         If so many ranks cannot share the cells.
     """
-    from rvm_mpi.domain import partition
-
-    split = partition(job.space.cells, ranks)
     d = job.velocity.dimensions
-    n_x, n_y = (ceil(n / p) for n, p in zip((*job.space.cells, 1, 1), split, strict=False))
+    n_x, n_y = largest_share(job, ranks)
     block = cell_block(job.velocity.points)
 
     def ghosted(width: int) -> int:
@@ -213,16 +220,27 @@ def memory(job: Job, ranks: int = 1) -> Memory:
         return (n_x + 2 * wx) * (n_y + 2 * wy)
 
     per_cell = 4 * (d + 2) + d * (d + 3) + 20
-    operator = 0.0
+    operator, weights = 0.0, 0.0
     if job.collision.operator == "boltzmann":
-        operator = 8.0 * (n_x * n_y + 60) * block + MAKING_WEIGHTS * weight_bytes(tuple(job.velocity.points))
+        rows = Rows.create(tuple(job.velocity.points))
+        operator, weights = 8.0 * (n_x * n_y + 60) * block + rows.nbytes, float(rows.weight_bytes)
     return Memory(
         operator=operator,
+        weights=weights,
         g=2 * 8.0 * ghosted(GHOSTS_OF_G) * block,
         fluxes=8.0 * (n_x + 4) * block if job.space.dimensions == 2 else 8.0 * 4 * block,
         fields=8.0 * ghosted(GHOSTS_OF_FLUID) * per_cell,
         libraries=LIBRARIES,
     )
+
+
+def largest_share(job: Job, ranks: int) -> tuple[int, int]:
+    """Cells along x and y of the rank that owns the most; `JobError` if so many ranks cannot share them."""
+    from rvm_mpi.domain import partition
+
+    split = partition(job.space.cells, ranks)
+    nx, ny = (*job.space.cells, 1, 1)[:2]
+    return ceil(nx / split[0]), ceil(ny / split[1])
 
 
 def check_weights(job: Job, available: float | None = None) -> None:
@@ -240,7 +258,7 @@ def check_weights(job: Job, available: float | None = None) -> None:
     points = tuple(job.velocity.points)
 
     def needed(points: tuple[int, ...]) -> float:
-        return float(MAKING_WEIGHTS * weight_bytes(points))
+        return float(MAKING_WEIGHTS * Rows.create(points).weight_bytes)
 
     if needed(points) <= available:
         return
@@ -249,7 +267,7 @@ def check_weights(job: Job, available: float | None = None) -> None:
         fitting = tuple(max(4, int(0.9 * n) // 2 * 2) for n in fitting)
     raise JobError(
         f"velocity.points: the Boltzmann operator's weights do not fit (value {list(points)}: "
-        f"{bytes_in_words(weight_bytes(points))} and {MAKING_WEIGHTS} times that while they are made, of "
+        f"{bytes_in_words(Rows.create(points).weight_bytes)} and {MAKING_WEIGHTS} times that while they are made, of "
         f"{bytes_in_words(available)}; allowed such as {list(fitting)})"
     )
 
@@ -407,9 +425,23 @@ def stretched_time(job: Job) -> Callable[[float], float]:
 
 
 def run_seconds(job: Job, ranks: int = 1, seconds_per_cell: float = SECONDS_PER_CELL) -> float:
-    """Wall-clock seconds of a run on so many cores at the least, from `steps` and a nominal speed."""
-    cells = prod(job.space.cells) * prod(job.velocity.points)
-    return steps(job) * STAGES * cells * seconds_per_cell / ranks
+    """Wall-clock seconds of a run on so many cores at the least, from `steps` and nominal speeds."""
+    cells = prod(job.space.cells) * cell_block(job.velocity.points)
+    stage = cells * seconds_per_cell / ranks + operator_seconds(job, ranks)
+    return steps(job) * (STAGES * stage + SECONDS_PER_STEP)
+
+
+def operator_seconds(job: Job, ranks: int = 1) -> float:
+    """Seconds of one evaluation of the Boltzmann operator on the rank with the most cells; 0 for other operators.
+
+    It takes eight cells of a row at a time: one alone costs as much as eight.
+    """
+    if job.collision.operator != "boltzmann":
+        return 0.0
+    n_x, n_y = largest_share(job, ranks)
+    points = tuple(job.velocity.points)
+    pairs = OPERATIONS_PER_PAIR * Rows.create(points).products / OPERATIONS_PER_SECOND
+    return n_y * ceil(n_x / LANES) * LANES * (pairs + prod(points) * SECONDS_PER_NODE)
 
 
 # --- physics

@@ -19,6 +19,7 @@ from numba import njit
 from rvm_mpi import stage
 from rvm_mpi.collisions.boltzmann import BoltzmannOperator
 from rvm_mpi.collisions.es_bgk import EXACT, REPLACED, discrete_gaussian
+from rvm_mpi.collisions.weight_store import shared_weights
 from rvm_mpi.estimates import collision_frequency, explicit_rate, fastest_rate
 from rvm_mpi.job import JobError
 from rvm_mpi.kinetic.conservation import SUMS, correct
@@ -180,7 +181,7 @@ class KineticStepper:
         self._through = tuple(np.zeros((n, 5)) for n in (ny, ny, nx, nx))
         self._far = {name: self._side_states(name, density, velocity, tensor) for name in SIDES if domain.on_side(name)}
         self.rate = self.cooling_rate = 0.0
-        self._operator = _operator(job)
+        self._operator = _operator(job, domain)
         self._source = np.zeros((ny, nx, self.grid.block)) if self._operator else np.zeros((0, 0, 0))
         self._heating, self._penalty = np.zeros((ny, nx)), np.zeros((ny, nx))
         self._set(density, velocity, tensor)
@@ -546,16 +547,19 @@ def _model(job: Job) -> Model:
     )
 
 
-def _operator(job: Job) -> BoltzmannOperator | None:
-    """The job's explicit collision operator."""
+def _operator(job: Job, domain: Domain) -> BoltzmannOperator | None:
+    """The job's explicit collision operator; its weights are the node's."""
     collision = job.collision
     if collision.operator != "boltzmann":
         return None
     assert collision.exponent is not None and collision.cross_section is not None
+    points = tuple(job.velocity.points)
+    restitution = 1.0 if collision.restitution is None else collision.restitution
     return BoltzmannOperator.create(
-        tuple(job.velocity.points),
+        points,
         job.velocity.half_width[0],
-        1.0 if collision.restitution is None else collision.restitution,
+        restitution,
         collision.exponent,
         collision.cross_section,
+        shared_weights(domain.comm, points, restitution, collision.exponent),
     )

@@ -26,7 +26,7 @@ import numpy as np
 import pyfftw
 from numba import njit
 
-from rvm_mpi.collisions.boltzmann_weights import Rows, block_kind, compute_weights
+from rvm_mpi.collisions.boltzmann_weights import SUPPORT, Rows, block_kind, compute_weights, kernel_scale
 from rvm_mpi.simd import KERNEL, LANES, apart, load, splat, store, together
 
 #: nodes of all cells in a lane of a batch: short enough for the cache, long enough for calls to be cheap
@@ -186,14 +186,14 @@ def to_lanes(g, lanes):  # type: ignore[no-untyped-def]
 
 
 @njit(**KERNEL)
-def from_lanes(lanes, out):  # type: ignore[no-untyped-def]
-    """`to_lanes` back again."""
+def from_lanes(lanes, scale, out):  # type: ignore[no-untyped-def]
+    """`to_lanes` back again, times `scale`."""
     for cell in range(out.shape[0]):
         group, lane = cell // LANES, cell % LANES
         for x in range(out.shape[1]):
             for y in range(out.shape[2]):
                 for z in range(out.shape[3]):
-                    out[cell, x, y, z] = lanes[group, x, y, z, lane]
+                    out[cell, x, y, z] = lanes[group, x, y, z, lane] * scale
 
 
 @dataclass(frozen=True)
@@ -214,7 +214,7 @@ class BoltzmannOperator:
     rows : Rows
         The pairs of rows the sum visits.
     weights : array
-        `compute_weights`; read only, so that several operators may share it.
+        `compute_weights`: read only, so that operators may share them whatever their V and b.
     """
 
     points: tuple[int, ...]
@@ -236,7 +236,7 @@ class BoltzmannOperator:
         cross_section: float = 1.0,
         weights: np.ndarray | None = None,
     ) -> BoltzmannOperator:
-        """Computes the weights (`weight_bytes` says how many bytes) unless they are given.
+        """Computes the weights (`Rows.weight_bytes` says how many bytes) unless they are given.
 
         Raises
         ------
@@ -251,7 +251,7 @@ class BoltzmannOperator:
             raise ValueError("restitution and exponent must be in [0, 1], half_width and cross_section positive")
         rows = Rows.create(points)
         if weights is None:
-            weights = compute_weights(rows, len(points), half_width, restitution, exponent, cross_section)
+            weights = compute_weights(rows, len(points), restitution, exponent)
             weights.flags.writeable = False
         if weights.shape != (int(rows.offsets[-1]),):
             raise ValueError(f"weights: {weights.shape} given, {int(rows.offsets[-1])} wanted")
@@ -292,12 +292,12 @@ class BoltzmannOperator:
     @property
     def support_radius(self) -> float:
         """R = 2 V / (3 + sqrt 2), outside which g should be negligible."""
-        return 2 * self.half_width / (3 + 2**0.5)
+        return SUPPORT * self.half_width
 
     @property
     def nbytes(self) -> int:
         """Bytes of the weights and of the pairs of rows; the buffers come on top, about 60 doubles a node."""
-        return self.rows.nbytes
+        return self.weights.nbytes + self.rows.nbytes
 
     def collide(self, g: np.ndarray, out: np.ndarray) -> None:
         """Q(g, g) of cells g (cells, *points) into `out` of the same shape, which may be g itself."""
@@ -307,6 +307,7 @@ class BoltzmannOperator:
         lead = (slice(None), *(np.newaxis,) * (3 - len(self.points)))
         g, out = g[lead], out[lead]
         lanes, batch = work["lanes"], work["lanes"].shape[0] * LANES
+        scale = kernel_scale(len(self.points), self.half_width, self.exponent, self.cross_section)
         for first in range(0, g.shape[0], batch):
             cells = slice(first, min(first + batch, g.shape[0]))
             to_lanes(g[cells], lanes)
@@ -317,4 +318,4 @@ class BoltzmannOperator:
                 work["kind"], rows.offsets, self.weights, *work["modes"],
             )  # fmt: skip
             work["backward"].execute()
-            from_lanes(lanes, out[cells])
+            from_lanes(lanes, scale, out[cells])

@@ -12,6 +12,9 @@ left,
 
     F(p, q) = b |S^{d-1}|^2 (2 R)^{d + lambda} int_0^1 s^{d - 1 + lambda} j(c p s) j(c q s) ds,   c = 2 pi R / V.
 
+R / V is a constant, so b and V stand in one factor, b (2 R)^{d + lambda} (`kernel_scale`), and the weights kept here
+are those without it: they depend on the number of points, e and lambda alone.
+
 As l + m = k, F(|m - z k|, z |k|) depends on |k|^2, |l|^2, |m|^2 alone: integers. W(l, m) + W(m, l) is what a pair of
 modes {l, m} needs, and it is real and the same for {-l, -m}.
 
@@ -46,9 +49,14 @@ def terms(wave: float) -> int:
     return ceil(wave + 12 * wave ** (1 / 3)) + 20
 
 
+def kernel_scale(dimensions: int, half_width: float, exponent: float, cross_section: float) -> float:
+    """b (2 R)^(d + lambda): what multiplies the weights."""
+    return cross_section * (2 * SUPPORT * half_width) ** (dimensions + exponent)
+
+
 @dataclass(frozen=True)
 class RadialIntegral:
-    """F(p, q) of the module's docstring, to about 1e-14 of F(0, 0), for p <= largest, q <= largest.
+    """F(p, q) of the module's docstring over `kernel_scale`, to about 1e-14 of F(0, 0), for p <= largest, q <= largest.
 
     Attributes
     ----------
@@ -67,14 +75,11 @@ class RadialIntegral:
     weights: np.ndarray
 
     @classmethod
-    def create(
-        cls, dimensions: int, half_width: float, exponent: float, cross_section: float, largest: float
-    ) -> RadialIntegral:
+    def create(cls, dimensions: int, exponent: float, largest: float) -> RadialIntegral:
         """The rule that resolves waves up to `largest`."""
-        wave, radius = 2 * pi * SUPPORT, SUPPORT * half_width
-        power = dimensions - 1 + exponent
+        wave, power = 2 * pi * SUPPORT, dimensions - 1 + exponent
         x, w = roots_jacobi(ceil(terms(wave * largest) / 2), 0.0, power)
-        factor = cross_section * sphere_area(dimensions) ** 2 * (2 * radius) ** (power + 1) / 2 ** (power + 1)
+        factor = sphere_area(dimensions) ** 2 / 2 ** (power + 1)
         return cls(dimensions, wave, largest, 0.5 * (x + 1), factor * w)
 
     def rows(self, q: np.ndarray) -> np.ndarray:
@@ -171,8 +176,13 @@ class Rows:
 
     @property
     def nbytes(self) -> int:
-        """Bytes of the weights and of what leads to them."""
-        return int(8 * self.offsets[-1]) + self.pairs.nbytes + self.keys.nbytes + self.offsets.nbytes
+        """Bytes of these tables, without the weights."""
+        return self.pairs.nbytes + self.keys.nbytes + self.offsets.nbytes
+
+    @property
+    def weight_bytes(self) -> int:
+        """Bytes of the weights, known before any is computed; making them takes about eight times that."""
+        return 8 * int(self.offsets[-1])
 
     @property
     def products(self) -> int:
@@ -207,15 +217,11 @@ def line_modes(modes: int, mirror: int, same: int) -> tuple[np.ndarray, np.ndarr
     return k[wanted], l[wanted]
 
 
-def weight_bytes(points: tuple[int, ...]) -> int:
-    """Bytes the weights of a grid take, known before any is computed; making them takes about eight times that."""
-    return Rows.create(points).nbytes
+def compute_weights(rows: Rows, dimensions: int, restitution: float, exponent: float) -> np.ndarray:
+    """All blocks of weights over `kernel_scale`, one behind the other (`Rows.offsets`).
 
-
-def compute_weights(
-    rows: Rows, dimensions: int, half_width: float, restitution: float, exponent: float, cross_section: float
-) -> np.ndarray:
-    """All blocks of weights, one behind the other (`Rows.offsets`): W(l, m) + W(m, l), or W(l, l) where l = m."""
+    W(l, m) + W(m, l), or W(l, l) where l = m.
+    """
     mirror, same = block_kind(rows.keys)
     mz = rows.modes[2]
     weights = np.zeros(int(rows.offsets[-1]))
@@ -231,7 +237,7 @@ def compute_weights(
     code, inverse = np.unique(codes, return_inverse=True)
     kk, ll, mm = code // base**2, code // base % base, code % base
     # |m - z k| <= (1 - z) |m| + z |l| and z |k| are at most the longest mode
-    integral = RadialIntegral.create(dimensions, half_width, exponent, cross_section, max(1.0, sqrt(largest)))
+    integral = RadialIntegral.create(dimensions, exponent, max(1.0, sqrt(largest)))
     values = pair_weights(integral, restitution, kk, ll, mm)
     values[(ll == mm) & (kk == 4 * ll)] *= 0.5
     weights[:] = values[inverse]

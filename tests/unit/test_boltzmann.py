@@ -11,9 +11,9 @@ from rvm_mpi.collisions.boltzmann_weights import (
     SUPPORT,
     RadialIntegral,
     Rows,
+    kernel_scale,
     pair_weights,
     sphere_mean,
-    weight_bytes,
 )
 
 GRIDS = [(8,), (13,), (6, 8), (6, 4, 8)]
@@ -87,10 +87,11 @@ def test_weights_are_the_defining_integral(l, m, e, exponent):  # noqa: E741
     half_width, b = 3.0, 0.7
     expected = defining_integral(l, m, half_width, e, exponent, b)
     expected += defining_integral(m, l, half_width, e, exponent, b)
-    integral = RadialIntegral.create(len(l), half_width, exponent, b, 5.0)
+    integral = RadialIntegral.create(len(l), exponent, 5.0)
     squares = (np.array([np.dot(a, a)]) for a in (np.add(l, m), l, m))
-    found = pair_weights(integral, e, *squares)[0]
-    scale = integral.weights.sum()
+    factor = kernel_scale(len(l), half_width, exponent, b)
+    found = factor * pair_weights(integral, e, *squares)[0]
+    scale = factor * integral.weights.sum()
     assert abs(expected.imag) < 1e-12 * scale
     assert found == pytest.approx(expected.real, abs=1e-12 * scale)
 
@@ -98,7 +99,7 @@ def test_weights_are_the_defining_integral(l, m, e, exponent):  # noqa: E741
 @pytest.mark.parametrize("d", [1, 3])
 def test_radial_integral_in_closed_form(d):
     """int cos cos ds and int s^2 sinc sinc ds, to arguments of 64 points a direction."""
-    integral = RadialIntegral.create(d, 1.0, 0.0, 1.0, 31.0)
+    integral = RadialIntegral.create(d, 0.0, 31.0)
     p, q = np.linspace(0.1, 31, 200), 7.3
     difference, total = (np.sinc(integral.wave * a / pi) for a in (p - q, p + q))
     expected = (difference + total) / 2 if d == 1 else (difference - total) / (2 * integral.wave**2 * p * q)
@@ -110,10 +111,10 @@ def test_radial_integral_in_closed_form(d):
 def test_bytes_are_known_beforehand():
     for points in GRIDS:
         op = operator(points)
-        assert weight_bytes(points) == op.nbytes
+        assert Rows.create(points).weight_bytes == op.weights.nbytes
         assert op.weights.nbytes < op.nbytes < op.weights.nbytes + 64 * (op.rows.pairs.shape[0] + 1)
-    assert weight_bytes((64, 64)) < 1e7
-    assert weight_bytes((24,) * 3) < 2e7
+    assert Rows.create((64, 64)).weight_bytes < 1e7
+    assert Rows.create((24,) * 3).weight_bytes < 2e7
 
 
 def test_every_pair_is_visited_once():
@@ -142,12 +143,13 @@ def plain_sum(g, op):
     f = np.fft.fftn(g) / g.size
     q = np.zeros_like(f)
     largest = np.array([(n - 1) // 2 for n in g.shape])
-    rule = RadialIntegral.create(d, op.half_width, op.exponent, op.cross_section, 2 * np.linalg.norm(largest))
+    rule = RadialIntegral.create(d, op.exponent, 2 * np.linalg.norm(largest))
+    scale = kernel_scale(d, op.half_width, op.exponent, op.cross_section)
 
     @cache
     def integral(p, r):
         product = sphere_mean(d, rule.wave * p * rule.nodes) * sphere_mean(d, rule.wave * r * rule.nodes)
-        return float(rule.weights @ product)
+        return scale * float(rule.weights @ product)
 
     modes = [np.array(n) - largest for n in np.ndindex(*(2 * largest + 1))]
     for l in modes:  # noqa: E741
@@ -173,7 +175,7 @@ def test_elastic_line_does_nothing():
     op = operator((16,), 1.0, 1.0)
     rates = np.abs(operator((16,), 0.0, 1.0).weights).max()
     assert np.abs(op.weights).max() < 1e-13 * rates
-    assert np.abs(collide(op, random_cells(2, (16,)))).max() < 1e-13 * rates
+    assert np.abs(collide(op, random_cells(2, (16,)))).max() < 1e-13 * rates * kernel_scale(1, 5.0, 1.0, 0.7)
 
 
 @pytest.mark.parametrize("points", GRIDS)
@@ -236,12 +238,14 @@ def test_strided_cells_and_in_place():
     assert np.array_equal(g, q)
 
 
-def test_shared_weights():
+def test_weights_serve_any_box_and_cross_section():
+    """Q scales as b V^(d + lambda) at the same nodes over V; test_sum_against_plain_loops has the constant."""
     op = operator((6, 8))
     assert not op.weights.flags.writeable
-    other = BoltzmannOperator.create((6, 8), 5.0, 0.3, 0.5, 0.7, weights=op.weights)
+    other = BoltzmannOperator.create((6, 8), 7.0, 0.3, 0.5, 2.1, weights=op.weights)
     g = random_cells(3, (6, 8))
-    assert np.array_equal(collide(other, g), collide(op, g))
+    factor = 3 * 1.4**2.5
+    np.testing.assert_allclose(collide(other, g), factor * collide(op, g), rtol=1e-13, atol=0)
     with pytest.raises(ValueError, match="weights"):
         BoltzmannOperator.create((6, 10), 5.0, weights=op.weights)
 

@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rvm_mpi import estimates
+from rvm_mpi.collisions.boltzmann_weights import Rows
 from rvm_mpi.job import Job, JobError
 
 
@@ -190,7 +191,32 @@ def test_steps_of_a_cooling_gas_follow_haffs_law():
 def test_run_time_counts_cells_stages_and_ranks():
     job = make(cells=(64,), time={"max_steps": 10})
     cells = 64 * 24 * 24 * 8
-    assert estimates.run_seconds(job, 2, 1e-9) == pytest.approx(10 * estimates.STAGES * cells * 1e-9 / 2)
+    fixed = 10 * estimates.SECONDS_PER_STEP
+    assert estimates.run_seconds(job, 2, 1e-9) == pytest.approx(fixed + 10 * estimates.STAGES * cells * 1e-9 / 2)
+    line = make(cells=(64,), points=(24,), time={"max_steps": 10}, collision={"operator": "none"})
+    # in one velocity dimension a node takes the room of eight
+    assert estimates.run_seconds(line, 1, 1e-9) == pytest.approx(fixed + 10 * estimates.STAGES * 64 * 24 * 8 * 1e-9)
+
+
+def pairs_of_modes(largest):
+    """Pairs {l, m} of modes -largest..largest with |l + m| <= largest and l + m after zero, by counting."""
+    modes = np.stack(np.meshgrid(*[np.arange(-largest, largest + 1)] * 2, indexing="ij"), axis=-1).reshape(-1, 2)
+    total = modes[:, None] + modes[None, :]
+    kept = (np.abs(total) <= largest).all(axis=2)
+    after = (total[..., 0] > 0) | ((total[..., 0] == 0) & (total[..., 1] > 0))
+    return int(np.triu(kept & after).sum())
+
+
+@pytest.mark.parametrize(("cells", "ranks", "counted"), [((), 1, 8), ((12,), 1, 16), ((30,), 2, 16), ((9, 4), 1, 64)])
+def test_run_time_of_the_boltzmann_operator(cells, ranks, counted):
+    """Ten operations a pair of modes, in eight cells of a row at once."""
+    boltzmann = {"operator": "boltzmann", "knudsen": 1, "restitution": 0.9}
+    job = make(cells=cells, points=(10, 10), half_width=7, collision=boltzmann, time={"max_steps": 1})
+    work = 10 * pairs_of_modes(4) / estimates.OPERATIONS_PER_SECOND + 100 * estimates.SECONDS_PER_NODE
+    assert estimates.operator_seconds(job, ranks) == pytest.approx(counted * work)
+    rest = estimates.SECONDS_PER_STEP + 2 * int(np.prod(cells)) * 10 * 16 * 1e-9 / ranks
+    assert estimates.run_seconds(job, ranks, 1e-9) == pytest.approx(2 * counted * work + rest)
+    assert estimates.operator_seconds(make(), 1) == 0
 
 
 # --- memory
@@ -255,11 +281,25 @@ def test_durations_in_words(seconds, words):
 
 
 def test_boltzmann_weights_that_do_not_fit_are_refused_with_what_would():
-    """24^3 points take 18 MB of weights and eight times that while they are made: not in 100 MB."""
+    """24^3 points take 16 MB of weights and eight times that while they are made: not in 100 MB."""
     job = make(
         cells=(), velocity={"points": [24, 24, 24]}, collision={"operator": "boltzmann", "knudsen": 1, "restitution": 1}
     )
     estimates.check_weights(job)
-    with pytest.raises(JobError, match=r"17\.9 MB.*allowed such as \[(20|18), (20|18), (20|18)\]"):
+    with pytest.raises(JobError, match=r"16\.3 MB.*allowed such as \[(20|18), (20|18), (20|18)\]"):
         estimates.check_weights(job, available=100e6)
-    assert estimates.memory(job).operator > 8 * 17.9e6
+
+
+def test_boltzmann_weights_are_counted_once_a_node():
+    """What a rank needs for itself shrinks with its share of the cells, the weights do not multiply."""
+    job = make(
+        cells=(12, 8),
+        velocity={"points": [16, 16, 16]},
+        collision={"operator": "boltzmann", "knudsen": 1, "restitution": 1},
+    )
+    one, four = estimates.memory(job, 1), estimates.memory(job, 4)
+    weights = Rows.create((16, 16, 16)).weight_bytes
+    assert one.weights == four.weights == weights
+    assert one.operator - four.operator == 8 * 72 * 16**3
+    assert one.total == one.g + one.fluxes + one.operator + one.fields + estimates.LIBRARIES
+    assert estimates.memory(make()).weights == 0

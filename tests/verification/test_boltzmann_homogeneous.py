@@ -52,7 +52,12 @@ def bkw(d, v, s):
 
 @pytest.mark.parametrize(
     "d, half_width, s, points, ceilings",
-    [(2, 8.0, 0.7, (16, 24, 32), (0.2, 2e-3, 6e-6)), (3, 6.0, 0.75, (12, 16, 20), (3e-2, 4e-3, 3e-4))],
+    [
+        (2, 8.0, 0.7, (16, 24, 32), (0.2, 2e-3, 6e-6)),
+        (2, 9.0, 0.7, (16, 24, 32, 48), (0.4, 1e-2, 8e-5, 5e-10)),
+        (3, 6.0, 0.75, (12, 16, 20), (3e-2, 4e-3, 3e-4)),
+        (3, 6.5, 0.75, (12, 16, 20, 24), (0.1, 7e-3, 5e-4, 5e-5)),
+    ],
 )
 def test_bobylev_krook_wu(d, half_width, s, points, ceilings):
     errors = []
@@ -64,7 +69,7 @@ def test_bobylev_krook_wu(d, half_width, s, points, ceilings):
     assert (np.array(errors) < ceilings).all()
     # faster than any power: the order itself rises
     orders = -np.diff(np.log(errors)) / np.diff(np.log(points))
-    assert orders[0] > 6 and orders[1] > orders[0]
+    assert orders[0] > 6 and (np.diff(orders) > 0).all()
 
 
 # ---- dissipation
