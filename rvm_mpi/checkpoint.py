@@ -260,6 +260,25 @@ def checksums(array: np.ndarray) -> np.ndarray:
 # -- reading ----------------------------------------------------------------------------------------------
 
 
+def read_header(file: Any) -> dict[str, Any]:
+    """The header of an open file: job, columns and numbers as they were written.
+
+    Raises
+    ------
+    ValueError, KeyError
+        If it is no checkpoint, or not whole.
+    """
+    if int(file["complete"][()]) != 1:
+        raise ValueError("it was not written to its end")
+    text = file["header"][()].tobytes()
+    if zlib.crc32(text) != int(file["checksum/header"][()]):
+        raise ValueError("the checksum of its header does not fit")
+    header: dict[str, Any] = json.loads(text)
+    if header["format"] != FORMAT:
+        raise ValueError(f"it has format {header['format']}; rvm {__version__} reads format {FORMAT}")
+    return header
+
+
 class Checkpoint:
     """A complete checkpoint, open on every rank.
 
@@ -295,15 +314,8 @@ class Checkpoint:
 
     def _read_header(self) -> None:
         # every rank opens it for itself: nothing here waits for others
-        self._file = file = _open(self.path, "r")
-        if int(file["complete"][()]) != 1:
-            raise ValueError("it was not written to its end")
-        text = file["header"][()].tobytes()
-        if zlib.crc32(text) != int(file["checksum/header"][()]):
-            raise ValueError("the checksum of its header does not fit")
-        header = json.loads(text)
-        if header["format"] != FORMAT:
-            raise ValueError(f"it has format {header['format']}; rvm {__version__} reads format {FORMAT}")
+        self._file = _open(self.path, "r")
+        header = read_header(self._file)
         self.numbers: dict[str, Any] = header["numbers"]
         self._job, self._columns = header["job"], header["columns"]
 

@@ -11,7 +11,7 @@ import os
 import re
 import sys
 from collections.abc import Iterator, Sequence
-from math import inf, isnan, prod
+from math import inf, isnan, nan, prod
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
@@ -35,7 +35,7 @@ class _Parser(argparse.ArgumentParser):
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run a command; returns its exit status (0, 2, 3 or 75)."""
+    """Run a command; returns its exit status (0, 1, 2, 3 or 75)."""
     log: Path | None = None
     try:
         options = _parser().parse_args(arguments)
@@ -60,12 +60,13 @@ def _parser() -> argparse.ArgumentParser:
         epilog=EXIT_STATUS,
     )
     parser.add_argument("--version", action="version", version=f"rvm {__version__}")
-    commands = parser.add_subparsers(dest="command", required=True, metavar="run|check|info|bench")
+    commands = parser.add_subparsers(dest="command", required=True, metavar="run|check|info|compare|bench")
     _add_run(commands)
     _add_check(commands)
     info = commands.add_parser("info", help="what a run directory holds", allow_abbrev=False)
     info.add_argument("directory", metavar="DIR", type=Path)
     info.set_defaults(function=_info)
+    _add_compare(commands)
     bench = commands.add_parser("bench", help="throughput of the step on this machine", allow_abbrev=False)
     bench.add_argument("--cells", nargs=2, type=_count, metavar=("NX", "NY"), default=[64, 64])
     bench.add_argument("--velocity", nargs=3, type=_count, metavar=("NX", "NY", "NZ"), default=[24, 24, 8])
@@ -101,6 +102,21 @@ def _add_check(commands: Any) -> None:
     check.set_defaults(function=_check)
 
 
+def _add_compare(commands: Any) -> None:
+    compare = commands.add_parser(
+        "compare",
+        help="whether two runs, or two checkpoints, are the same",
+        allow_abbrev=False,
+        epilog="exit status: 0 the same; 1 not the same; 2 they cannot be compared",
+    )
+    compare.add_argument("a", metavar="A", type=Path, help="run directory or checkpoint")
+    compare.add_argument("b", metavar="B", type=Path, help="run directory or checkpoint")
+    compare.add_argument(
+        "--tolerance", metavar="R", type=_tolerance, help="largest difference relative to a quantity's size [the bits]"
+    )
+    compare.set_defaults(function=_compare)
+
+
 def _add_set(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--set", metavar="KEY=VALUE", action="append", default=[],
@@ -112,6 +128,16 @@ def _count(text: str) -> int:
     if not text.isdecimal() or int(text) < 1:
         raise argparse.ArgumentTypeError(f"{text!r} is not a whole number above 0")
     return int(text)
+
+
+def _tolerance(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = nan
+    if not 0.0 <= value < inf:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number from 0 on")
+    return value
 
 
 def _walltime(text: str) -> float:
@@ -190,6 +216,7 @@ def _check_lines(job: Job, file: str, ranks: int) -> Iterator[str]:
     yield from _step_lines(job, ranks)
     yield from _physics_lines(job)
     yield from _velocity_lines(job)
+    yield from _watch_lines(job)
 
 
 def _row(name: str, text: str) -> str:
@@ -289,7 +316,17 @@ def _velocity_lines(job: Job) -> Iterator[str]:
         yield _row("  flows up to", f"Mach {mach:.3g}: faster ones leave too little of omega^2 to T_g")
 
 
-# --- info and bench
+def _watch_lines(job: Job) -> Iterator[str]:
+    from rvm_mpi.watch import promised
+
+    watch = job.watch
+    stop = f"a stop above {watch.box_stop:g}" if watch.box_stop < 1.0 else "no stop"
+    kept = ", ".join(name.removesuffix("_error") for name in promised(job))
+    yield _row("watched", f"outermost velocities: a warning above {watch.box_warning:g} of a cell's gas, {stop}")
+    yield _row("  balances", f"{kept}: a warning above {watch.balance:g}, relative")
+
+
+# --- info, compare and bench
 
 
 def _info(options: argparse.Namespace) -> int:
@@ -302,6 +339,15 @@ def _info(options: argparse.Namespace) -> int:
     if failures.launched_rank() == 0:
         print("\n".join(describe_run(path)), flush=True)
     return 0
+
+
+def _compare(options: argparse.Namespace) -> int:
+    from rvm_mpi.compare import compare_paths
+
+    same, lines = compare_paths(options.a, options.b, options.tolerance)
+    if failures.launched_rank() == 0:
+        print("\n".join(lines), flush=True)
+    return 0 if same else 1
 
 
 def _bench(options: argparse.Namespace) -> int:

@@ -21,16 +21,18 @@ from typing import Any, TextIO
 
 import numpy as np
 
-from rvm_mpi import checkpoint, rundir
+from rvm_mpi import checkpoint, postmortem, rundir
 from rvm_mpi.checkpoint import Checkpoint, DiskFailure
 from rvm_mpi.control import Control
 from rvm_mpi.domain import Domain
 from rvm_mpi.estimates import stretched_time
 from rvm_mpi.exact_sum import exact_sums
 from rvm_mpi.fluid import FluidSystem
+from rvm_mpi.fluid.euler import PositivityLost
 from rvm_mpi.job import Job, JobError
 from rvm_mpi.states import macroscopic_state
 from rvm_mpi.stepping import KineticStepper, NumericalFailure, StepReport
+from rvm_mpi.watch import Watch
 
 #: a step may pass the Courant number by this factor before it is taken again, shorter
 SLACK = 1.02
@@ -40,6 +42,9 @@ COOLING_CHANGE = 0.1
 COLLAPSED = 1e-12
 #: the fluid's own Courant number, up to which it keeps density and temperature positive
 FLUID_CFL = 0.5
+
+#: automatic rate of synchronisation over the fastest at which sound crosses a cell
+SYNCHRONISED = 1 / 3
 
 InitialState = Callable[[np.ndarray, np.ndarray], tuple[Any, Any, Any]]
 
@@ -152,10 +157,7 @@ class Simulation:
         dt, limit = self._step_length()
         dt, reached = self._fit_to_stops(dt)
         if dt < COLLAPSED * self.job.time.end and reached is None:
-            raise NumericalFailure(
-                f"the time step has collapsed to {dt:.3g}, limited by {limit}; step {self.number + 1} from t = "
-                f"{self.time:.6g}"
-            )
+            raise self._collapse(dt, limit)
         cfl = self.job.time.cfl  # None where the job fixes dt
         saved = None if self.fluid is None else self.fluid.state.copy()
         while True:
@@ -166,9 +168,9 @@ class Simulation:
                 if cfl is None or courant <= SLACK * cfl:
                     report = self.kinetic.second_stage(dt)
                     break
-            except (NumericalFailure, FloatingPointError) as error:
-                where = f"step {self.number + 1} from t = {self.time:.6g} with dt = {dt:.3g}"
-                raise NumericalFailure(f"{error}; {where}") from None
+            except (NumericalFailure, PositivityLost) as error:
+                when = f"step {self.number + 1} from t = {self.time:.6g} with dt = {dt:.3g}"
+                raise NumericalFailure(f"{error}; {when}", error.cell, getattr(error, "node", None), dt) from None
             # the scaling turned faster than the step before said: the first stage left g^n as it was
             dt, reached = 0.95 * cfl / self.kinetic.rate, None
             if self.fluid is not None and saved is not None:
@@ -179,6 +181,14 @@ class Simulation:
         self._rate, self._cooling_rate = self.kinetic.rate, self.kinetic.cooling_rate
         self.diagnostics.update(report)
         return Step(self.number, self.time, dt, limit)
+
+    def _collapse(self, dt: float, limit: str) -> NumericalFailure:
+        cell = None
+        if limit.startswith(("transport", "dissipation")):
+            cell = self.kinetic.fastest_cell(cooling=limit == "dissipation")
+        where = "" if cell is None else f" in {self.domain.place(cell)}"
+        what = f"the time step has collapsed to {dt:.3g}, limited by {limit}{where}"
+        return NumericalFailure(f"{what}; step {self.number + 1} from t = {self.time:.6g}", cell, dt=dt)
 
     def _step_length(self) -> tuple[float, str]:
         """The longest step allowed, and the name of the limit that sets it."""
@@ -214,11 +224,23 @@ class Simulation:
         self.fluid.advance(dt)
         scaling = self.job.scaling
         if scaling.kind == "macroscopic":
-            if scaling.synchronise > 0.0:
+            if scaling.synchronise != 0.0:
                 d = self.job.velocity.dimensions
-                state, _temperature = self.kinetic.macroscopic()
-                self.fluid.relax_towards(state[..., [*range(d + 1), 4]], scaling.synchronise, dt)
+                state, temperature = self.kinetic.macroscopic()
+                rate = self._synchronise_rate(temperature) if scaling.synchronise == "auto" else scaling.synchronise
+                self.fluid.relax_towards(state[..., [*range(d + 1), 4]], rate, dt)
             self.kinetic.set_scaling(self.fluid.omega(), dt)
+
+    def _synchronise_rate(self, temperature: np.ndarray) -> float:
+        """The automatic rate: a third of the fastest at which sound of f's temperature (ny, nx) crosses a cell.
+
+        What Euler lacks parts the two by a gradient's width over the speed of sound, and a gradient is some cells wide:
+        a much slower rate lets them part, a much faster one ties omega to the moments that it scales. One rate for
+        all cells: what reaches the cold ones comes from the hot ones.
+        """
+        d, space = self.job.velocity.dimensions, self.domain.dimensions
+        hottest = self.domain.maximum(float(temperature.max()))[0]
+        return SYNCHRONISED * math.sqrt((d + 2) / d * hottest) / min(self.domain.spacing[:space])
 
     # -- checkpoints ------------------------------------------------------------------------------------------
 
@@ -356,12 +378,14 @@ class Diagnostics:
         sums = exact_sums(arrays, sim.domain.comm)
         *totals, heat, square, fluid_mass, fluid_energy_sum, fluid_heat, fluid_square = sums[: d + 8]
         dissipated, deviation = sums[d + 8 : d + 10]
+        box = (report.box_mass, report.box_energy) if report else sim.kinetic.box_shares()
         largest = sim.domain.maximum(
             -(report.smallest if report else float(self._interior_g().min())),
             report.largest if report else float(self._interior_g().max()),
             report.mismatch if report else 0.0,
             -float(temperature.min()),
             float(temperature.max()),
+            *box,
         )
         self.temperature_range = (-largest[3], largest[4])
         replaced = exact_sums([np.array([float(report.replaced if report else 0)])], sim.domain.comm)[0]
@@ -384,6 +408,7 @@ class Diagnostics:
         )
         row["min_g"], row["max_g"], row["correction"] = -largest[0], largest[1], largest[2]
         row["gaussians_replaced"] = float(replaced)
+        row["box_mass"], row["box_energy"] = largest[5], largest[6]
         row.update(self._balances(row))
         self.row = row
 
@@ -490,7 +515,8 @@ class Run:
         if restart:
             self._on_rank_0(self._check_restart)
         aside = self._on_rank_0(lambda: rundir.prepare(output, job, restart, overwrite))
-        facts = rundir.provenance(self.comm.size)
+        self.watch = Watch(job)
+        self.facts = facts = rundir.provenance(self.comm.size)
         self._on_rank_0(lambda: self._open_log(facts, aside))
         self.fields = FieldsFile(
             output / "fields.h5",
@@ -602,15 +628,19 @@ class Run:
         try:
             if self.saved is None:
                 self.record()
+                self.warn()
             self.take_snapshot()
             control.start(8.0 * math.prod(sim.domain.cells) * sim.kinetic.grid.block)
             for step in sim:
                 self.record()
+                self.warn()
                 if progress is not None:
                     row = sim.diagnostics.row
                     temperatures = sim.diagnostics.temperature_range
                     progress.update(step.number, step.time, step.dt, row["mass_error"], row["min_g"], temperatures)
                 self.take_snapshot()
+                if self.watch.reason_to_stop(sim.diagnostics.row):
+                    return self.stop_at_the_box()
                 decision = control.agree(sim.domain)
                 if sim.finished:
                     break
@@ -624,7 +654,10 @@ class Run:
                 self.take_last_snapshot()
                 if self.saved != sim.number:
                     self.save()
-        except (NumericalFailure, DiskFailure) as error:
+        except NumericalFailure as error:
+            self.say(f"rvm: {sim.job.name}: {error}{self._last_healthy()}{self.examine(error)}")
+            return 3
+        except DiskFailure as error:
             self.say(f"rvm: {sim.job.name}: {error}{self._last_checkpoint()}")
             return 3
         if progress is not None:
@@ -643,6 +676,48 @@ class Run:
 
     def _last_checkpoint(self) -> str:
         return "" if self.saved is None else f"; the checkpoint of step {self.saved} is there for --restart"
+
+    def _last_healthy(self) -> str:
+        row = self.simulation.diagnostics.row
+        return f"; last healthy: step {row['step']:.0f}, t = {row['time']:.6g}{self._last_checkpoint()}"
+
+    def examine(self, failure: NumericalFailure) -> str:
+        """Write the post-mortem; what to say about it."""
+        found = postmortem.examine(self.simulation, failure)
+        if not self.head:
+            return ""
+        more = {"versions": self.facts, "checkpoint_step": self.saved, "history": self._last_rows()}
+        try:
+            return f"; more in {postmortem.write(self.output, found, more)}"
+        except OSError as error:  # what failed first is what counts
+            return f"; no post-mortem could be written: {error.strerror}"
+
+    def _last_rows(self) -> dict[str, Any]:
+        from rvm_mpi.results import read_history
+
+        try:
+            return {name: column[-postmortem.ROWS :] for name, column in read_history(self.output).items()}
+        except OSError:
+            return {}
+
+    def warn(self) -> None:
+        """Say what the present row of the history has that a run should not have."""
+        for line in self.watch.warnings(self.simulation.diagnostics.row):
+            self.say(f"rvm: {self.simulation.job.name}: warning: {line}")
+
+    def stop_at_the_box(self) -> int:
+        """End a run whose gas leaves its velocity box, with a checkpoint; the exit status.
+
+        It is that of a failure: a script that goes on with what stopped on purpose would come here again at once.
+        """
+        sim = self.simulation
+        self.save()
+        self.say(
+            f"rvm: {sim.job.name}: stopped after step {sim.number} at t = {sim.time:.6g}: "
+            f"{self.watch.reason_to_stop(sim.diagnostics.row)}{self._last_checkpoint()} with another watch.box_stop; "
+            "a wider velocity.half_width needs a new run"
+        )
+        return 3
 
     def save(self) -> None:
         """Write a checkpoint, once all that was written before it is on disk."""

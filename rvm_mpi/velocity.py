@@ -14,7 +14,7 @@ import numpy as np
 from rvm_mpi.simd import LANES
 
 #: rows of `VelocityGrid.slab`
-Y, Z, Y_FACE, Z_FACE, VALID, Y_SLOPE, Y_OPEN, Z_SLOPE, Z_OPEN, Z_TAPS = range(10)
+Y, Z, Y_FACE, Z_FACE, VALID, Y_SLOPE, Y_OPEN, Z_SLOPE, Z_OPEN, EDGE, SPEED2, Z_TAPS = range(12)
 #: nodes around a face that the widest reconstruction takes
 TAPS = 8
 
@@ -35,9 +35,10 @@ class VelocityGrid:
         Volume of a velocity cell, the product of the spacings of the axes in use.
     x, x_face : (points_x,) array
         Nodes, and the face above each (the last one, the edge of the box, is closed).
-    slab : (9 + TAPS, slab_size) array
+    slab : (11 + TAPS, slab_size) array
         Rows Y, Z: nodes; Y_FACE, Z_FACE: the face above in y and in z; VALID: 1 for a node, 0 for padding; Y_SLOPE,
         Z_SLOPE: 1 where a node has neighbours on both sides; Y_OPEN, Z_OPEN: 1 where the face above is inside the box;
+        EDGE: 1 for the outermost nodes in y or z; SPEED2: xi_y^2 + xi_z^2;
         from Z_TAPS on: 1 where the nodes around the face above in z exist, from TAPS/2 below it to TAPS/2 above.
     nodes : (3, longest axis) array
         Nodes of each axis, zero behind its last one.
@@ -75,6 +76,8 @@ class VelocityGrid:
         slab[VALID, inner] = 1.0
         slab[Y_SLOPE, inner], slab[Y_OPEN, inner] = (j > 0) & (j < ny - 1), j < ny - 1
         slab[Z_SLOPE, inner], slab[Z_OPEN, inner] = (k > 0) & (k < nz - 1), k < nz - 1
+        outermost = ((ny > 1) & ((j == 0) | (j == ny - 1))) | ((nz > 1) & ((k == 0) | (k == nz - 1)))
+        slab[EDGE, inner], slab[SPEED2, inner] = outermost, axes[1][j] ** 2 + axes[2][k] ** 2
         for tap in range(TAPS):
             there = k + tap + 1 - TAPS // 2
             slab[Z_TAPS + tap, inner] = (there >= 0) & (there < nz)

@@ -33,8 +33,12 @@ def test_velocity_grid(points):
     for row, axis in ((velocity.Y_SLOPE, 0), (velocity.Z_SLOPE, 1)):
         index = np.indices(grid.points[1:])[axis]
         np.testing.assert_array_equal(slab[row], (index > 0) & (index < grid.points[1 + axis] - 1))
+    at_end = [(np.indices(grid.points[1:])[q] % max(n - 1, 1) == 0) & (n > 1) for q, n in enumerate(grid.points[1:])]
+    np.testing.assert_array_equal(slab[velocity.EDGE], at_end[0] | at_end[1])
+    np.testing.assert_allclose(slab[velocity.SPEED2], y[0] ** 2 + z[0] ** 2, rtol=1e-14)
     for row in (velocity.Y, velocity.Z, velocity.VALID, velocity.Y_OPEN, velocity.Z_OPEN, velocity.Y_SLOPE):
         assert not grid.slab[row, grid.slab_points :].any()
+    assert not grid.slab[velocity.EDGE, grid.slab_points :].any()
     assert np.all(slab[velocity.VALID] == 1.0)
     # nodes and faces mirror to the last bit, so that symmetric states stay symmetric
     for q, n in enumerate(points):
