@@ -14,6 +14,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 from tests.verification.cooling_state import cool, cooling_state, stationary, van_noije_ernst
 
 RESTITUTIONS = (0.5, 0.7, 0.8, 0.9)
+DRIFTS = ("van-leer", "kappa", "seventh-order")
 
 
 def operator(grids):
@@ -53,12 +54,12 @@ def main() -> None:
     if given.only in (None, "runs"):
         print("whole runs over four decades: d, points, V, drift, e, a_2, T over Haff's with the rate of order 8,")
         print("departure of log T from the law over the second half of the steps, steps")
-        for points, half_width in ((32, 9.0), (48, 10.0)):
-            for drift in ("van-leer", "kappa", "seventh-order"):
-                for e in RESTITUTIONS:
-                    factor = cooling_state(2, e, 8)[1]
-                    a, ratio, bend, steps = cool(2, e, points, half_width, drift, factor)
-                    print(f"2 {points} {half_width} {drift} {e} {a:.5f} {ratio:.5f} {bend:.5f} {steps}", flush=True)
+        cases = [(2, points, half_width, drift) for points, half_width in ((32, 9.0), (48, 10.0)) for drift in DRIFTS]
+        for d, points, half_width, drift in cases + [(3, 32, 9.5, "seventh-order")] * given.large:
+            for e in RESTITUTIONS:
+                factor = cooling_state(d, e, 8)[1]
+                a, ratio, bend, steps = cool(d, e, points, half_width, drift, factor)
+                print(f"{d} {points} {half_width} {drift} {e} {a:.5f} {ratio:.5f} {bend:.5f} {steps}", flush=True)
 
 
 if __name__ == "__main__":
