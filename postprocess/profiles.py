@@ -71,11 +71,12 @@ def _draw(options):
                     axes[row, column].plot(
                         run[along], values[index], ls=STYLES[model], color=colour, lw=1.3, label=name
                     )
-    _finish(figure, axes, first, labels, times, options)
+    _finish(figure, axes, runs, labels, times, options)
     common.save(figure, options.directories[0], "profiles")
 
 
-def _finish(figure, axes, run, labels, times, options):
+def _finish(figure, axes, runs, labels, times, options):
+    run = runs[0]
     cut = options.cut if run.kinetic_density.ndim == 3 else "x"
     for column, time in enumerate(times):
         axes[0, column].set_title(common.time_label(float(time)))
@@ -97,7 +98,7 @@ def _finish(figure, axes, run, labels, times, options):
     if run.kinetic_density.ndim == 3:
         other = "y" if cut == "x" else "x"
         where = f", cut along ${cut}$ at ${other} = {np.mean(common.cell_edges(run[other].values)):g}$"
-    figure.suptitle(common.title_of(run) + where)
+    figure.suptitle((common.title_of(*runs) + where).lstrip(", "))
 
 
 if __name__ == "__main__":

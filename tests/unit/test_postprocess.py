@@ -404,6 +404,19 @@ def test_titles_are_not_read_as_mathematics(tmp_path):
     assert common.title_of(common.open_run(make_run(tmp_path / "run"))) == r"a \$run\$ of costs"
 
 
+@pytest.mark.parametrize(
+    ("titles", "common_part"),
+    [
+        (["Test 1: coupled model", "Test 1: classical variables"], "Test 1"),
+        (["Test 2: walls: one", "Test 2: walls: one"], "Test 2: walls: one"),
+        (["Test 2: walls: one", "Test 2: walls: other"], "Test 2: walls"),
+        (["cold", "coal"], ""),
+    ],
+)
+def test_several_runs_have_the_title_they_share(titles, common_part):
+    assert common.title_of(*(SimpleNamespace(attrs={"title": title}) for title in titles)) == common_part
+
+
 def decaying(time, rate=-1.4, frequency=4.0, floor=0.0):
     """A damped oscillation in log t, as L(t) has it."""
     return 0.05 * time**rate * np.abs(np.cos(frequency * np.log(time))) + floor
