@@ -24,6 +24,9 @@ def main(argv=None) -> int:
     parser.add_argument(
         "--normalised", action="store_true", help="density and temperature divided by their mean over space"
     )
+    parser.add_argument(
+        "--no-fluid", action="store_true", help="without the fluid, where it is so far off that it hides the rest"
+    )
     return common.run_script(_draw, parser, argv)
 
 
@@ -63,9 +66,9 @@ def _draw(options):
     for number, (directory, run) in enumerate(zip(options.directories, runs, strict=True)):
         along = options.cut if run.kinetic_density.ndim == 3 else "x"
         for row, quantity in enumerate(labels):
-            for model in common.models(run):
+            for model in ["kinetic"] if options.no_fluid else common.models(run):
                 values = profile(run, model, quantity, along, options.normalised)
-                name = model if len(runs) == 1 else f"{directory.name}, {model}"
+                name = model if len(runs) == 1 else directory.name + ("" if options.no_fluid else f", {model}")
                 colour = f"C{number}" if len(runs) > 1 else f"C{list(STYLES).index(model)}"
                 for column, index in enumerate(common.choose_times(run, times)):
                     axes[row, column].plot(

@@ -306,6 +306,22 @@ def test_several_runs_in_one_figure(tmp_path):
     assert not (second / "figures").exists()
 
 
+def test_profiles_with_and_without_the_fluid(tmp_path, monkeypatch):
+    directories = [str(make_run(tmp_path / name, (12,))) for name in "ab"]
+    drawn = []
+    monkeypatch.setattr(
+        common, "save", lambda figure, *_: drawn.append({line.get_label() for line in figure.axes[0].get_lines()})
+    )
+    for arguments in (directories[:1], [*directories[:1], "--no-fluid"], directories, [*directories, "--no-fluid"]):
+        assert profiles.main(arguments) == 0
+    assert drawn == [
+        {"kinetic", "fluid"},
+        {"kinetic"},
+        {"a, kinetic", "a, fluid", "b, kinetic", "b, fluid"},
+        {"a", "b"},
+    ]
+
+
 def test_chosen_times():
     run = SimpleNamespace(time=SimpleNamespace(values=np.linspace(0, 1, 101)))
     assert common.choose_times(run, None) == [0, 20, 40, 60, 80, 100]
