@@ -13,4 +13,5 @@ jobs/run.sh test3_kinetic_150_fine test3_kinetic --set 'velocity.points=[128]' -
 jobs/run.sh test3_van_leer_fine test3_kinetic --set 'velocity.points=[128]' --set 'scheme.drift="van-leer"'
 jobs/run.sh test3_classical_fine test3_classical --set 'velocity.points=[128]'
 
-.venv/bin/python postprocess/profiles.py --normalised --times 0.25 0.75 2 -- runs/test3_{kinetic,kinetic_fine,macroscopic,classical}
+.venv/bin/python postprocess/profiles.py --normalised --no-fluid --times 0.25 0.75 2 -- \
+    runs/test3_{kinetic,kinetic_fine,macroscopic,classical}

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Callable, Sequence
+from itertools import takewhile
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -141,9 +142,10 @@ def cell_edges(centres: np.ndarray) -> tuple[float, float]:
     return float(centres[0] - half), float(centres[-1] + half)
 
 
-def title_of(run: xarray.Dataset) -> str:
-    """The job's title, safe for matplotlib's mathematics."""
-    return str(run.attrs.get("title", "")).replace("$", r"\$")
+def title_of(*runs: xarray.Dataset) -> str:
+    """The job's title, of several runs what theirs share up to a colon, safe for matplotlib's mathematics."""
+    parts = zip(*(str(run.attrs.get("title", "")).split(":") for run in runs))
+    return ":".join(part[0] for part in takewhile(lambda part: len(set(part)) == 1, parts)).replace("$", r"\$")
 
 
 def save(figure: Figure, directory: Path, name: str):

@@ -83,7 +83,7 @@ def _curves(options, runs):
         figure.legend(*left.get_legend_handles_labels(), loc="upper center", bbox_to_anchor=(0.5, 0.0), ncol=len(runs))
     else:
         left.legend()
-    figure.suptitle(common.title_of(runs[0]))
+    figure.suptitle(common.title_of(*runs))
     return figure
 
 

@@ -24,6 +24,9 @@ def main(argv=None) -> int:
     parser.add_argument(
         "--normalised", action="store_true", help="density and temperature divided by their mean over space"
     )
+    parser.add_argument(
+        "--no-fluid", action="store_true", help="without the fluid, where it is so far off that it hides the rest"
+    )
     return common.run_script(_draw, parser, argv)
 
 
@@ -63,19 +66,20 @@ def _draw(options):
     for number, (directory, run) in enumerate(zip(options.directories, runs, strict=True)):
         along = options.cut if run.kinetic_density.ndim == 3 else "x"
         for row, quantity in enumerate(labels):
-            for model in common.models(run):
+            for model in ["kinetic"] if options.no_fluid else common.models(run):
                 values = profile(run, model, quantity, along, options.normalised)
-                name = model if len(runs) == 1 else f"{directory.name}, {model}"
+                name = model if len(runs) == 1 else directory.name + ("" if options.no_fluid else f", {model}")
                 colour = f"C{number}" if len(runs) > 1 else f"C{list(STYLES).index(model)}"
                 for column, index in enumerate(common.choose_times(run, times)):
                     axes[row, column].plot(
                         run[along], values[index], ls=STYLES[model], color=colour, lw=1.3, label=name
                     )
-    _finish(figure, axes, first, labels, times, options)
+    _finish(figure, axes, runs, labels, times, options)
     common.save(figure, options.directories[0], "profiles")
 
 
-def _finish(figure, axes, run, labels, times, options):
+def _finish(figure, axes, runs, labels, times, options):
+    run = runs[0]
     cut = options.cut if run.kinetic_density.ndim == 3 else "x"
     for column, time in enumerate(times):
         axes[0, column].set_title(common.time_label(float(time)))
@@ -97,7 +101,7 @@ def _finish(figure, axes, run, labels, times, options):
     if run.kinetic_density.ndim == 3:
         other = "y" if cut == "x" else "x"
         where = f", cut along ${cut}$ at ${other} = {np.mean(common.cell_edges(run[other].values)):g}$"
-    figure.suptitle(common.title_of(run) + where)
+    figure.suptitle((common.title_of(*runs) + where).lstrip(", "))
 
 
 if __name__ == "__main__":

@@ -25,7 +25,7 @@ LIBRARIES = 225e6
 """Bytes a process holds before it has any array: Python, numpy, numba and its kernels, PETSc, MPI, HDF5."""
 SECONDS_PER_CELL = 8e-9
 """Nominal time of one stage for one phase-space cell on one core; `rvm bench` measures a machine's own."""
-SECONDS_PER_STEP = 1.5e-3
+SECONDS_PER_STEP = 2e-3
 """Nominal time of what a step costs whatever the grid: calls, reductions, a row of the history."""
 OPERATIONS_PER_PAIR = 10
 """Floating-point operations of the Boltzmann operator's sum for a pair of modes (`boltzmann_weights.Rows.products`)."""

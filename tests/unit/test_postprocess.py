@@ -306,6 +306,22 @@ def test_several_runs_in_one_figure(tmp_path):
     assert not (second / "figures").exists()
 
 
+def test_profiles_with_and_without_the_fluid(tmp_path, monkeypatch):
+    directories = [str(make_run(tmp_path / name, (12,))) for name in "ab"]
+    drawn = []
+    monkeypatch.setattr(
+        common, "save", lambda figure, *_: drawn.append({line.get_label() for line in figure.axes[0].get_lines()})
+    )
+    for arguments in (directories[:1], [*directories[:1], "--no-fluid"], directories, [*directories, "--no-fluid"]):
+        assert profiles.main(arguments) == 0
+    assert drawn == [
+        {"kinetic", "fluid"},
+        {"kinetic"},
+        {"a, kinetic", "a, fluid", "b, kinetic", "b, fluid"},
+        {"a", "b"},
+    ]
+
+
 def test_chosen_times():
     run = SimpleNamespace(time=SimpleNamespace(values=np.linspace(0, 1, 101)))
     assert common.choose_times(run, None) == [0, 20, 40, 60, 80, 100]
@@ -402,6 +418,19 @@ def test_the_classical_marginal_is_the_scaled_one_stretched():
 
 def test_titles_are_not_read_as_mathematics(tmp_path):
     assert common.title_of(common.open_run(make_run(tmp_path / "run"))) == r"a \$run\$ of costs"
+
+
+@pytest.mark.parametrize(
+    ("titles", "common_part"),
+    [
+        (["Test 1: coupled model", "Test 1: classical variables"], "Test 1"),
+        (["Test 2: walls: one", "Test 2: walls: one"], "Test 2: walls: one"),
+        (["Test 2: walls: one", "Test 2: walls: other"], "Test 2: walls"),
+        (["cold", "coal"], ""),
+    ],
+)
+def test_several_runs_have_the_title_they_share(titles, common_part):
+    assert common.title_of(*(SimpleNamespace(attrs={"title": title}) for title in titles)) == common_part
 
 
 def decaying(time, rate=-1.4, frequency=4.0, floor=0.0):
