@@ -216,6 +216,7 @@ def _check_lines(job: Job, file: str, ranks: int) -> Iterator[str]:
     yield from _step_lines(job, ranks)
     yield from _physics_lines(job)
     yield from _velocity_lines(job)
+    yield from _watch_lines(job)
 
 
 def _row(name: str, text: str) -> str:
@@ -308,6 +309,16 @@ def _velocity_lines(job: Job) -> Iterator[str]:
     mach = estimates.largest_mach(job)
     if job.scaling.kind != "none" and mach < inf:
         yield _row("  flows up to", f"Mach {mach:.3g}: faster ones leave too little of omega^2 to T_g")
+
+
+def _watch_lines(job: Job) -> Iterator[str]:
+    from rvm_mpi.watch import promised
+
+    watch = job.watch
+    stop = f"a stop above {watch.box_stop:g}" if watch.box_stop < 1.0 else "no stop"
+    kept = ", ".join(name.removesuffix("_error") for name in promised(job))
+    yield _row("watched", f"outermost velocities: a warning above {watch.box_warning:g} of a cell's gas, {stop}")
+    yield _row("  balances", f"{kept}: a warning above {watch.balance:g}, relative")
 
 
 # --- info, compare and bench

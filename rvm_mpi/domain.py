@@ -125,6 +125,7 @@ class Domain:
         self.cells = (nx, ny)
         dx, dy = (*job.space.spacing, 1.0, 1.0)[:2]
         self.spacing = (dx, dy)
+        self._lower = tuple(job.space.lower)
         px, py = partition(cells, self.size)
         self._sides = dict(job.space.sides)
         periodic = [self._sides[f"{axis}-lower"].kind == "periodic" for axis in "xy"[: self.dimensions]]
@@ -173,6 +174,23 @@ class Domain:
     def ghosts(self, width: int) -> tuple[int, int]:
         """Ghost cells (wy, wx) on each side of an array of the given ghost width: none in an unused direction."""
         return (width if self.dimensions == 2 else 0), (width if self.dimensions >= 1 else 0)
+
+    def owner(self, cell: tuple[int, int]) -> int:
+        """The rank that has the global cell (i, j); collective."""
+        mine = all(first <= k < first + n for k, first, n in zip(cell, self.start, self.local))
+        return int(self.maximum(float(self.rank if mine else -1))[0])
+
+    def centre(self, cell: tuple[int, int]) -> tuple[float, ...]:
+        """Position of the centre of the global cell (i, j), one number per space dimension."""
+        along = zip(cell, self._lower, self.spacing)
+        return tuple(low + (k + 0.5) * h for k, low, h in along)
+
+    def place(self, cell: tuple[int, int]) -> str:
+        """A global cell in words: indices, position, rank; collective."""
+        words, owner = f"cell ({cell[0]}, {cell[1]})", self.owner(cell)
+        if self.dimensions:
+            words += f" at ({', '.join(f'{x:.4g}' for x in self.centre(cell))})"
+        return words + (f" of rank {owner}" if self.size > 1 else "")
 
     def empty(self, width: int, components: int, guard: int = 0) -> np.ndarray:
         """A ghosted field (ny + 2 wy, nx + 2 wx, components) of zeros, with the guard of `aligned`."""

@@ -31,6 +31,7 @@ from rvm_mpi.job_schema import (
     Text,
     Time,
     Velocity,
+    Watch,
 )
 from rvm_mpi.job_text import (
     JobError,
@@ -60,6 +61,7 @@ class Job(Section):
     initial: Initial = Field(description="a table with state and its keys")
     time: Time = Field(description="a table with end, cfl, max_steps, dt")
     output: Output = Field(default=Output(), description="a table with times, checkpoint_every, marginals")
+    watch: Watch = Field(default=Watch(), description="a table with box_warning, box_stop, balance")
 
     _name: str = PrivateAttr("job")
     _text: str = PrivateAttr("")

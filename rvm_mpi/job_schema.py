@@ -21,6 +21,7 @@ Positive = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0)]
 NonNegative = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0)]
 Fraction = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0, le=1)]
 Vector = tuple[Number, ...]
+Share = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0, le=1)]
 Text = Annotated[str, Field(strict=True)]
 Switch = Annotated[bool, Field(strict=True)]
 
@@ -282,6 +283,18 @@ class Output(Section):
 
 class Uniform(Section):
     """The same state everywhere; `stress`, a temperature tensor, makes it an anisotropic Gaussian."""
+class Watch(Section):
+    """What a run says, or ends for, when it happens (`rvm_mpi/watch.py`)."""
+
+    box_warning: Share = Field(
+        default=1e-3, description="a number > 0, at most 1: share of a cell's mass or energy; 1 is never passed"
+    )
+    box_stop: Share = Field(
+        default=1.0, description="a number > 0, at most 1: share of a cell's mass or energy; 1 is never passed"
+    )
+    balance: Positive = Field(default=1e-10, description="a number > 0, relative")
+
+
 
     state: Literal["uniform"]
     density: Positive = Field(default=1.0, description="a number > 0")

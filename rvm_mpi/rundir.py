@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 
 MARKS = ("job.toml", "fields.h5", "history.csv", "run.log")
 """Files that tell a run directory; checkpoints do too."""
-MAY_CHANGE = {"title", "time", "output"}
-"""Tables that a restarted job may have changed: they decide how far a run goes and what it stores."""
+MAY_CHANGE = {"title", "time", "output", "watch"}
+"""Tables that a restarted job may have changed: how far a run goes, what it stores and what it watches."""
 
 
 def holds_run(path: Path) -> bool:
@@ -77,7 +77,7 @@ def _check_writable(path: Path) -> None:
 
 
 def check_restart(path: Path, job: Job) -> None:
-    """Refuse to go on with a run as another job: only `time`, `output` and `title` may differ.
+    """Refuse to go on with a run as another job: only `time`, `output`, `watch` and `title` may differ.
 
     Raises
     ------
@@ -89,7 +89,8 @@ def check_restart(path: Path, job: Job) -> None:
     differing = differing_keys(Job.from_file(path / "job.toml"), job)
     if differing:
         raise JobError(
-            f"{path}: cannot restart as another job: {'; '.join(differing)}; only time, output and title may change"
+            f"{path}: cannot restart as another job: {'; '.join(differing)}; "
+            "only time, output, watch and title may change"
         )
 
 

@@ -21,16 +21,18 @@ from typing import Any, TextIO
 
 import numpy as np
 
-from rvm_mpi import checkpoint, rundir
+from rvm_mpi import checkpoint, postmortem, rundir
 from rvm_mpi.checkpoint import Checkpoint, DiskFailure
 from rvm_mpi.control import Control
 from rvm_mpi.domain import Domain
 from rvm_mpi.estimates import stretched_time
 from rvm_mpi.exact_sum import exact_sums
 from rvm_mpi.fluid import FluidSystem
+from rvm_mpi.fluid.euler import PositivityLost
 from rvm_mpi.job import Job, JobError
 from rvm_mpi.states import macroscopic_state
 from rvm_mpi.stepping import KineticStepper, NumericalFailure, StepReport
+from rvm_mpi.watch import Watch
 
 #: a step may pass the Courant number by this factor before it is taken again, shorter
 SLACK = 1.02
@@ -152,10 +154,7 @@ class Simulation:
         dt, limit = self._step_length()
         dt, reached = self._fit_to_stops(dt)
         if dt < COLLAPSED * self.job.time.end and reached is None:
-            raise NumericalFailure(
-                f"the time step has collapsed to {dt:.3g}, limited by {limit}; step {self.number + 1} from t = "
-                f"{self.time:.6g}"
-            )
+            raise self._collapse(dt, limit)
         cfl = self.job.time.cfl  # None where the job fixes dt
         saved = None if self.fluid is None else self.fluid.state.copy()
         while True:
@@ -166,9 +165,9 @@ class Simulation:
                 if cfl is None or courant <= SLACK * cfl:
                     report = self.kinetic.second_stage(dt)
                     break
-            except (NumericalFailure, FloatingPointError) as error:
-                where = f"step {self.number + 1} from t = {self.time:.6g} with dt = {dt:.3g}"
-                raise NumericalFailure(f"{error}; {where}") from None
+            except (NumericalFailure, PositivityLost) as error:
+                when = f"step {self.number + 1} from t = {self.time:.6g} with dt = {dt:.3g}"
+                raise NumericalFailure(f"{error}; {when}", error.cell, getattr(error, "node", None), dt) from None
             # the scaling turned faster than the step before said: the first stage left g^n as it was
             dt, reached = 0.95 * cfl / self.kinetic.rate, None
             if self.fluid is not None and saved is not None:
@@ -183,6 +182,14 @@ class Simulation:
     def _step_length(self) -> tuple[float, str]:
         """The longest step allowed, and the name of the limit that sets it."""
         time = self.job.time
+    def _collapse(self, dt: float, limit: str) -> NumericalFailure:
+        cell = None
+        if limit.startswith(("transport", "dissipation")):
+            cell = self.kinetic.fastest_cell(cooling=limit == "dissipation")
+        where = "" if cell is None else f" in {self.domain.place(cell)}"
+        what = f"the time step has collapsed to {dt:.3g}, limited by {limit}{where}"
+        return NumericalFailure(f"{what}; step {self.number + 1} from t = {self.time:.6g}", cell, dt=dt)
+
         if time.dt is not None or time.cfl is None:
             return float(time.dt or time.end), "time.dt"
         limits = {
@@ -371,12 +378,14 @@ class Diagnostics:
         none = math.nan
         fluid = sim.fluid is not None
         row: dict[str, float] = {"step": sim.number, "time": sim.time, "dt": sim.last_dt}
+        box = (report.box_mass, report.box_energy) if report else sim.kinetic.box_shares()
         row.update({part: float(value) * sim.volume for part, value in zip(self._parts, totals)})
         row["fluid_energy"] = float(fluid_energy_sum) * sim.volume if fluid else none
         row["dissipated_energy"] = self._dissipated
         row.update(self._entered)
         row["mean_temperature"] = float(heat / totals[0])
         row["fluid_mean_temperature"] = float(fluid_heat / fluid_mass) if fluid else none
+            *box,
         row["density_variance"] = float(square) / cells - (float(totals[0]) / cells) ** 2
         row["density_deviation"] = float(deviation) / cells
         row["fluid_density_variance"] = (
@@ -399,6 +408,7 @@ class Diagnostics:
         gained = {part: sum(self._entered[f"entered_{part}_{name}"] for name in self._sides) for part in self._parts}
         mass = row["mass"] - first["mass"] - gained["mass"]
         energy = row["energy"] - first["energy"] - gained["energy"] + self._dissipated
+        row["box_mass"], row["box_energy"] = largest[5], largest[6]
         momentum = max(abs(row[part] - first[part] - gained[part]) for part in self._parts[1:-1])
         return {
             "mass_error": mass / first["mass"],
@@ -490,7 +500,8 @@ class Run:
         if restart:
             self._on_rank_0(self._check_restart)
         aside = self._on_rank_0(lambda: rundir.prepare(output, job, restart, overwrite))
-        facts = rundir.provenance(self.comm.size)
+        self.watch = Watch(job)
+        self.facts = facts = rundir.provenance(self.comm.size)
         self._on_rank_0(lambda: self._open_log(facts, aside))
         self.fields = FieldsFile(
             output / "fields.h5",
@@ -617,15 +628,22 @@ class Run:
                 if decision.checkpoint:
                     self.save()
                     control.took_checkpoint()
+                self.warn()
                 if decision.stop:
                     stopped = decision.stop
                     break
             if not stopped:
+                self.warn()
                 self.take_last_snapshot()
                 if self.saved != sim.number:
                     self.save()
-        except (NumericalFailure, DiskFailure) as error:
+        except NumericalFailure as error:
+            self.say(f"rvm: {sim.job.name}: {error}{self._last_healthy()}{self.examine(error)}")
+            return 3
+        except DiskFailure as error:
             self.say(f"rvm: {sim.job.name}: {error}{self._last_checkpoint()}")
+                if self.watch.reason_to_stop(sim.diagnostics.row):
+                    return self.stop_at_the_box()
             return 3
         if progress is not None:
             progress.close()
@@ -658,6 +676,48 @@ class Run:
             size, seconds = path.stat().st_size / 1e6, clock.perf_counter() - begin
             self.log.write(f"checkpoint of step {sim.number}, t = {sim.time:.6g}: {size:.1f} MB in {seconds:.2f} s\n")
             self.log.flush()
+
+    def _last_healthy(self) -> str:
+        row = self.simulation.diagnostics.row
+        return f"; last healthy: step {row['step']:.0f}, t = {row['time']:.6g}{self._last_checkpoint()}"
+
+    def examine(self, failure: NumericalFailure) -> str:
+        """Write the post-mortem; what to say about it."""
+        found = postmortem.examine(self.simulation, failure)
+        if not self.head:
+            return ""
+        more = {"versions": self.facts, "checkpoint_step": self.saved, "history": self._last_rows()}
+        try:
+            return f"; more in {postmortem.write(self.output, found, more)}"
+        except OSError as error:  # what failed first is what counts
+            return f"; no post-mortem could be written: {error.strerror}"
+
+    def _last_rows(self) -> dict[str, Any]:
+        from rvm_mpi.results import read_history
+
+        try:
+            return {name: column[-postmortem.ROWS :] for name, column in read_history(self.output).items()}
+        except OSError:
+            return {}
+
+    def warn(self) -> None:
+        """Say what the present row of the history has that a run should not have."""
+        for line in self.watch.warnings(self.simulation.diagnostics.row):
+            self.say(f"rvm: {self.simulation.job.name}: warning: {line}")
+
+    def stop_at_the_box(self) -> int:
+        """End a run whose gas leaves its velocity box, with a checkpoint; the exit status.
+
+        It is that of a failure: a script that goes on with what stopped on purpose would come here again at once.
+        """
+        sim = self.simulation
+        self.save()
+        self.say(
+            f"rvm: {sim.job.name}: stopped after step {sim.number} at t = {sim.time:.6g}: "
+            f"{self.watch.reason_to_stop(sim.diagnostics.row)}{self._last_checkpoint()} with another watch.box_stop; "
+            "a wider velocity.half_width needs a new run"
+        )
+        return 3
 
     def record(self) -> None:
         """Append the present row to the history (rank 0)."""

@@ -18,14 +18,16 @@ from rvm_mpi.collisions.es_bgk import FAILED, REPLACED, TOO_COLD, discrete_gauss
 from rvm_mpi.kinetic import drift
 from rvm_mpi.kinetic.conservation import SUMS, add_correction, correct, weighted_sums
 from rvm_mpi.kinetic.transport import upper_fluxes
-from rvm_mpi.simd import KERNEL, load, maximum, minimum, splat, store
-from rvm_mpi.velocity import VALID, VelocityGrid, Y
+from rvm_mpi.simd import KERNEL, load, maximum, minimum, splat, store, total
+from rvm_mpi.velocity import EDGE, SPEED2, VALID, VelocityGrid, Y
 
 #: columns of the diagnostics a stage leaves of each cell
 SMALLEST, LARGEST, MISMATCH, GAUSSIANS_REPLACED, RATE, DISSIPATED, COOLING_RATE, STATUS = range(8)
-DIAGNOSTICS = 8
+#: shares of mass and energy of the outermost velocities, at the end of a step and of a stage of no length
+BOX_MASS, BOX_ENERGY = 8, 9
+DIAGNOSTICS = 10
 #: what STATUS says
-HEALTHY, TOO_COLD_FOR_GRID, NO_GAUSSIAN, NO_CORRECTION, NOT_POSITIVE = range(5)
+HEALTHY, TOO_COLD_FOR_GRID, NO_GAUSSIAN, NO_CORRECTION, NOT_POSITIVE, NOT_A_NUMBER = range(6)
 
 
 class Grid(NamedTuple):
@@ -232,12 +234,19 @@ def blend(nu, d, first, sums, wanted, temperature, weight_first, weight_last, wh
 
 
 @njit(**KERNEL)
-def mix(block, factor_x, factor_slab, own, gaussian, share, points_x, slab_size, slab, out, at, extremes):  # type: ignore[no-untyped-def]
-    """out = own * block * factor + share * gaussian, with the smallest and largest value in `extremes`."""
+def mix(block, factor_x, factor_slab, own, gaussian, share, points_x, slab_size, x, slab, out, at, watched, extremes):  # type: ignore[no-untyped-def]
+    """out = own * block * factor + share * gaussian.
+
+    `extremes` receives the smallest and largest value and, where `watched`, the sums of 1 and |xi|^2 over the
+    outermost nodes.
+    """
     low, high = splat(1e300), splat(-1e300)
+    edge_mass, edge_energy = splat(0.0), splat(0.0)
     for k in range(points_x):
         f = factor_x[k] * own
         base = k * slab_size
+        edge = (VALID if k == 0 or k == points_x - 1 else EDGE) * slab_size
+        square = splat(x[k] * x[k])
         for n in range(0, slab_size, 8):
             value = load(block, base + n) * (load(factor_slab, n) * f)
             if share > 0.0:
@@ -245,14 +254,20 @@ def mix(block, factor_x, factor_slab, own, gaussian, share, points_x, slab_size,
             valid = load(slab, VALID * slab_size + n)
             value = value * valid
             store(out, at + base + n, value)
-            low = minimum(low, value + (splat(1.0) - valid) * 1e300)
-            high = maximum(high, value)
+            padding = (splat(1.0) - valid) * 1e300
+            low = minimum(low, value + padding)
+            high = maximum(high, value - padding)
+            if watched:
+                outer = value * load(slab, edge + n)
+                edge_mass = edge_mass + outer
+                edge_energy = edge_energy + outer * (load(slab, SPEED2 * slab_size + n) + square)
     store(extremes, 0, low)
     store(extremes, 8, high)
     smallest, largest = extremes[0], extremes[8]
     for lane in range(1, 8):
         smallest, largest = min(smallest, extremes[lane]), max(largest, extremes[8 + lane])
     extremes[0], extremes[1] = smallest, largest
+    extremes[2], extremes[3] = total(edge_mass), total(edge_energy)
 
 
 @njit(**KERNEL)
@@ -297,7 +312,7 @@ def sweep(  # type: ignore[no-untyped-def]
     source, heating : flat array, (ny, nx) array
         Rate of g by an operator that is taken explicitly, blocks without ghosts, and the rate of f's energy with it;
         read where `model.source` is set.
-    diagnostics : (ny, nx, 8) array
+    diagnostics : (ny, nx, 10) array
         Receives the columns named at the top of this module.
     sides : tuple of four (n, 5) arrays
         Receive the rates of mass, momentum and energy through the outermost faces (x lower, x upper, y lower, y upper),
@@ -322,6 +337,7 @@ def sweep(  # type: ignore[no-untyped-def]
     target, sums, m0, wanted, tensor, centre, fitted = v[7], v[8], v[9], v[10], v[11], v[12], v[13]
     factor_x, factor_slab = work.correction[0], work.correction[1]
     carries = model.kinetic or model.conservative
+    watched = second or dt == 0.0
     for n in range(0, block, 8):
         store(west, n, splat(0.0))
     for n in range(0, nx * block, 8):
@@ -662,11 +678,19 @@ def sweep(  # type: ignore[no-untyped-def]
                 share / whole,
                 points_x,
                 slab_size,
+                grid.x,
                 grid.slab,
                 out,
                 cell,
+                watched,
                 extremes,
             )
+            if watched:
+                diagnostics[j, i, BOX_MASS] = extremes[2] / done[0]
+                diagnostics[j, i, BOX_ENERGY] = extremes[3] / (done[4] + done[7] + done[9])
+            # what is no number anywhere in g is none in its sums
+            if not math.isfinite(done[0] + (done[4] + done[7] + done[9])):
+                status = NOT_A_NUMBER
             new.omega[j + gy, i + gx] = omega_new
             diagnostics[j, i, SMALLEST] = extremes[0]
             diagnostics[j, i, LARGEST] = extremes[1]

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -43,11 +43,42 @@ _PROBLEMS = {
     stage.NO_GAUSSIAN: "no Gaussian on the velocity grid has the moments wanted",
     stage.NO_CORRECTION: "g could not be corrected to its mass, momentum and energy",
     stage.NOT_POSITIVE: "density or temperature is not positive",
+    stage.NOT_A_NUMBER: "g is not a number",
 }
 
 
 class NumericalFailure(RuntimeError):
-    """The run cannot go on: what happened, in which cell, in one line."""
+    """The run cannot go on: what happened and where, in one line; the same on every rank.
+
+    Attributes
+    ----------
+    cell : (i, j) or None
+        Global indices of the cell, where there is one to name.
+    node : tuple of int or None
+        Indices of its first velocity that is no number.
+    dt : float
+        Length of the step that failed.
+    """
+
+    def __init__(
+        self,
+        message: str,
+        cell: tuple[int, int] | None = None,
+        node: tuple[int, ...] | None = None,
+        dt: float = math.nan,
+    ) -> None:
+        super().__init__(message)
+        self.cell, self.node, self.dt = cell, node, dt
+
+
+class Sweep(NamedTuple):
+    """The last stage that was swept: which one, g and cells it read, g and cells it wrote."""
+
+    second: bool
+    g: np.ndarray
+    out: np.ndarray
+    begin: Cells
+    new: Cells
 
 
 @dataclass
@@ -62,6 +93,8 @@ class StepReport:
         The largest relative mismatch of a cell's moments that the correction removed, on this rank.
     replaced : int
         Cells (of this rank, over both stages) whose Gaussian had to take the nearest tensor the grid can hold.
+    box_mass, box_energy : float
+        The largest share of a cell's mass and energy in the outermost velocities, on this rank.
     dissipated : (ny, nx) array
         Energy per volume that collisions took during the step.
     entered : dict of side -> (n, 5) array
@@ -72,6 +105,8 @@ class StepReport:
     largest: float
     mismatch: float
     replaced: int
+    box_mass: float
+    box_energy: float
     dissipated: np.ndarray
     entered: dict[str, np.ndarray]
 
@@ -184,6 +219,7 @@ class KineticStepper:
         self._source = np.zeros((ny, nx, self.grid.block)) if self._operator else np.zeros((0, 0, 0))
         self._heating, self._penalty = np.zeros((ny, nx)), np.zeros((ny, nx))
         self._set(density, velocity, tensor)
+        self.last = Sweep(False, self.g, self._other, self.now, self._middle)
 
     def _cells(self) -> Cells:
         nx, ny = self.domain.local
@@ -388,9 +424,16 @@ class KineticStepper:
             largest=float(last[..., stage.LARGEST].max()),
             mismatch=float(max(first[..., stage.MISMATCH].max(), last[..., stage.MISMATCH].max())),
             replaced=int((first[..., stage.GAUSSIANS_REPLACED] + last[..., stage.GAUSSIANS_REPLACED]).sum()),
+            box_mass=self.box_shares()[0],
+            box_energy=self.box_shares()[1],
             dissipated=first[..., stage.DISSIPATED] + last[..., stage.DISSIPATED],
             entered=entered,
         )
+
+    def box_shares(self) -> tuple[float, float]:
+        """The largest shares of mass and energy in the outermost velocities, over the cells of this rank."""
+        last = self._diagnostics
+        return float(last[..., stage.BOX_MASS].max()), float(last[..., stage.BOX_ENERGY].max())
 
     def measure_sides(self) -> None:
         """Take the rates through the physical sides from the last stage alone: at the start, before any step."""
@@ -456,6 +499,7 @@ class KineticStepper:
         return self.domain.maximum(float(explicit_rate(self.job, state[..., 0], temperature, self.omega).max()))[0]
 
     def _sweep(self, second: bool, dt: float, g: np.ndarray, out: np.ndarray, begin: Cells, new: Cells) -> None:
+        self.last = Sweep(second, g, out, begin, new)
         if self._operator is not None:
             if self.job.collision.penalise and not second:
                 self._set_penalty(dt)
@@ -490,16 +534,79 @@ class KineticStepper:
             self._fail(int(worst))
 
     def _fail(self, worst: int) -> None:
-        """Name the first bad cell; every rank raises, the line is the same on all."""
-        bad = np.argwhere(self._diagnostics[..., stage.STATUS] == worst)
-        i0, j0 = self.domain.start
-        nx, ny = self.domain.cells
-        place = float(nx * ny)
-        if bad.size:
-            place = float((bad[0][0] + j0) * nx + bad[0][1] + i0)
-        first = int(-self.domain.maximum(-place)[0])
-        j, i = divmod(first, nx)
-        raise NumericalFailure(f"{_PROBLEMS[worst]} in cell ({i}, {j})")
+        """Name the first bad cell; every rank raises, the line is the same on all.
+
+        What is no number spreads to the neighbours within the stage: the cell to name is the one that had it before.
+        """
+        sick = np.argwhere(~np.isfinite(self._interior(self.last.g)).all(axis=-1))
+        cell = self.first_cell(sick)
+        if cell is not None:
+            worst = stage.NOT_A_NUMBER
+        else:
+            local = self._diagnostics
+            cell = self.first_cell(np.argwhere(local[..., stage.STATUS] == worst))
+            cell = cell or self.first_cell(np.argwhere(~np.isfinite(local[..., stage.RATE])))
+        node = self._sick_node(cell) if cell is not None and worst == stage.NOT_A_NUMBER else None
+        where = "" if cell is None else f" in {self.domain.place(cell)}"
+        if node is not None:
+            where += f", velocity node ({', '.join(map(str, node))})"
+        raise NumericalFailure(_PROBLEMS[worst] + where, cell, node)
+
+    def first_cell(self, places: np.ndarray) -> tuple[int, int] | None:
+        """The first (i, j) in the order of all cells of cells (j, i) that ranks have found; collective."""
+        (i0, j0), nx = self.domain.start, self.domain.cells[0]
+        mine = -min(((int(j) + j0) * nx + int(i) + i0 for j, i in places), default=math.inf)
+        first = -self.domain.maximum(float(mine))[0]
+        if not math.isfinite(first):
+            return None
+        j, i = divmod(int(first), nx)
+        return i, j
+
+    def fastest_cell(self, cooling: bool) -> tuple[int, int] | None:
+        """The cell that limited the last step by transport and drift, or by cooling; collective."""
+        column = self._diagnostics[..., stage.COOLING_RATE if cooling else stage.RATE]
+        return self.first_cell(np.argwhere(column == self.domain.maximum(float(column.max()))[0]))
+
+    def _sick_node(self, cell: tuple[int, int]) -> tuple[int, ...] | None:
+        """Indices of the first velocity of a cell that is no number, before or after the stage; collective."""
+        (i0, j0), (nx, ny) = self.domain.start, self.domain.local
+        i, j = cell[0] - i0, cell[1] - j0
+        found = -math.inf
+        if 0 <= i < nx and 0 <= j < ny:
+            for g in (self.last.g, self.last.out):
+                sick = np.flatnonzero(~np.isfinite(self.velocity_grid.unpack(self._interior(g)[j, i])))
+                if sick.size:
+                    found = float(sick[0])
+                    break
+        found = self.domain.maximum(found)[0]
+        if not math.isfinite(found):
+            return None
+        return tuple(int(k) for k in np.unravel_index(int(found), self.grid.points))[: self.grid.dimensions]
+
+    def cell_report(self, i: int, j: int) -> dict[str, Any]:
+        """What is known of cell (i, j) of this rank when a run fails: arrays and numbers by name.
+
+        `start` is what the step began with, `stage` what the last stage read, `result` what it wrote, as far as it
+        came; rows of `sums` are those of 1, xi, xi xi over the nodes.
+        """
+        begin, new = self.last.begin, self.last.new
+        report: dict[str, Any] = {
+            "status": _PROBLEMS.get(int(self._diagnostics[j, i, stage.STATUS]), "healthy"),
+            "rate": float(self._diagnostics[j, i, stage.RATE]),
+            "cooling_rate": float(self._diagnostics[j, i, stage.COOLING_RATE]),
+        }
+        for name, cells in (("start", self.now), ("stage", begin), ("result", new)):
+            report[name] = {"omega": float(self._interior(cells.omega)[j, i]), "sums": cells.sums[j, i]}
+            if self.model.kinetic or self.model.conservative:
+                report[name]["carried"] = cells.carried[j, i]
+        return report
+
+    def blocks(self, i: int, j: int) -> dict[str, np.ndarray]:
+        """g of cell (i, j) of this rank that the last stage read and wrote, (points_x, points_y, points_z)."""
+        return {
+            name: self.velocity_grid.unpack(self._interior(g)[j, i])
+            for name, g in (("stage", self.last.g), ("result", self.last.out))
+        }
 
     def fields(self) -> dict[str, np.ndarray]:
         """Moments of f on this rank's cells (`moments.fields`)."""

@@ -14,7 +14,7 @@ import numpy as np
 from rvm_mpi.simd import LANES
 
 #: rows of `VelocityGrid.slab`
-Y, Z, Y_FACE, Z_FACE, VALID, Y_SLOPE, Y_OPEN, Z_SLOPE, Z_OPEN = range(9)
+Y, Z, Y_FACE, Z_FACE, VALID, Y_SLOPE, Y_OPEN, Z_SLOPE, Z_OPEN, EDGE, SPEED2 = range(11)
 
 
 @dataclass(frozen=True)
@@ -33,9 +33,10 @@ class VelocityGrid:
         Volume of a velocity cell, the product of the spacings of the axes in use.
     x, x_face : (points_x,) array
         Nodes, and the face above each (the last one, the edge of the box, is closed).
-    slab : (9, slab_size) array
+    slab : (11, slab_size) array
         Rows Y, Z: nodes; Y_FACE, Z_FACE: the face above in y and in z; VALID: 1 for a node, 0 for padding; Y_SLOPE,
-        Z_SLOPE: 1 where a node has neighbours on both sides; Y_OPEN, Z_OPEN: 1 where the face above is inside the box.
+        Z_SLOPE: 1 where a node has neighbours on both sides; Y_OPEN, Z_OPEN: 1 where the face above is inside the box;
+        EDGE: 1 for the outermost nodes in y or z; SPEED2: xi_y^2 + xi_z^2.
     nodes : (3, longest axis) array
         Nodes of each axis, zero behind its last one.
     """
@@ -64,7 +65,7 @@ class VelocityGrid:
         slab_points = ny * nz
         slab_size = -(-slab_points // LANES) * LANES
         j, k = np.divmod(np.arange(slab_points), nz)
-        slab = np.zeros((9, slab_size))
+        slab = np.zeros((11, slab_size))
         inner = slice(0, slab_points)
         slab[Y, inner], slab[Z, inner] = axes[1][j], axes[2][k]
         slab[Y_FACE, inner] = (2 * j + 2 - ny) * (0.5 * spacing[1])
@@ -72,6 +73,8 @@ class VelocityGrid:
         slab[VALID, inner] = 1.0
         slab[Y_SLOPE, inner], slab[Y_OPEN, inner] = (j > 0) & (j < ny - 1), j < ny - 1
         slab[Z_SLOPE, inner], slab[Z_OPEN, inner] = (k > 0) & (k < nz - 1), k < nz - 1
+        outermost = ((ny > 1) & ((j == 0) | (j == ny - 1))) | ((nz > 1) & ((k == 0) | (k == nz - 1)))
+        slab[EDGE, inner], slab[SPEED2, inner] = outermost, axes[1][j] ** 2 + axes[2][k] ** 2
         nodes = np.zeros((3, max(nx, ny, nz)))
         for axis, values in enumerate(axes):
             nodes[axis, : values.size] = values

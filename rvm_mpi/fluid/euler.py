@@ -492,6 +492,20 @@ def root_mean_energy(state: np.ndarray, out: np.ndarray) -> None:
             out[j, i] = np.sqrt(2.0 * state[j, i, components - 1] / ((components - 2) * state[j, i, 0]))
 
 
+class PositivityLost(FloatingPointError):
+    """Density or temperature of the fluid is not positive, whatever dt; the same on every rank.
+
+    Attributes
+    ----------
+    cell : (i, j)
+        Global indices of the first such cell.
+    """
+
+    def __init__(self, message: str, cell: tuple[int, int]) -> None:
+        super().__init__(message)
+        self.cell = cell
+
+
 class FluidSystem:
     """The macroscopic system on this rank's cells.
 
@@ -583,8 +597,8 @@ class FluidSystem:
 
         Raises
         ------
-        FloatingPointError
-            On every rank, if positivity is lost whatever dt; names the first such cell of this rank.
+        PositivityLost
+            On every rank, if positivity is lost whatever dt.
         """
         self._advance(dt, HALVINGS)
 
@@ -595,7 +609,7 @@ class FluidSystem:
         if self.domain.maximum(0.0 if lost is None else 1.0)[0] > 0.0:
             self._interior[:] = self._saved
             if halvings == 0:
-                raise FloatingPointError(self._complaint(lost, dt))
+                raise self._complaint(lost, dt)
             self._advance(0.5 * dt, halvings - 1)
             self._advance(0.5 * dt, halvings - 1)
             return
@@ -632,17 +646,17 @@ class FluidSystem:
                 self._work,
             )
 
-    def _complaint(self, lost: tuple[int, int] | None, dt: float) -> str:
+    def _complaint(self, lost: tuple[int, int] | None, dt: float) -> PositivityLost:
+        """What to say, the same on all ranks: it names the first cell of all."""
         density, _velocity, temperature = self.moments()
         bad = np.argwhere(~((density > 0.0) & (temperature > 0.0)))
         if bad.size:  # it came in with the state
             lost = (int(bad[0, 0]), int(bad[0, 1]))
+        (i0, j0), nx = self.domain.start, self.domain.cells[0]
+        mine = -math.inf if lost is None else -float((lost[0] + j0) * nx + lost[1] + i0)
+        j, i = divmod(int(-self.domain.maximum(mine)[0]), nx)
         what = f"the fluid lost positive density or temperature at any step down to {dt:.3g}"
-        if lost is None:
-            return f"{what}, on another rank"
-        i, j = self.domain.start[0] + lost[1], self.domain.start[1] + lost[0]
-        before = f"density {density[lost]:.3g} and temperature {temperature[lost]:.3g}"
-        return f"{what}, in cell (i, j) = ({i}, {j}), which had {before} before"
+        return PositivityLost(f"{what} in {self.domain.place((i, j))}", (i, j))
 
     def max_rate(self) -> float:
         """Largest sum over directions of (|u_n| + c)/h, here and just outside; collective: fills ghosts."""

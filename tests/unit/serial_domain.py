@@ -56,6 +56,9 @@ class SerialDomain:
     def maximum(self, *values):
         return [float(v) for v in values]
 
+    def place(self, cell):
+        return f"cell ({cell[0]}, {cell[1]})"
+
 
 class Blocks:
     """What the blocks of one decomposition share."""

@@ -21,7 +21,7 @@ def test_velocity_grid(points):
     assert grid.slab_size % 8 == 0 and 0 <= grid.slab_size - grid.slab_points < 8
     assert grid.weight == pytest.approx(np.prod([2 * v / n for n, v in zip(points, widths, strict=True)]), rel=1e-15)
     x, y, z = (np.broadcast_to(axis, grid.points) for axis in nodes(grid))
-    slab = grid.slab[:, : grid.slab_points].reshape(9, *grid.points[1:])
+    slab = grid.slab[:, : grid.slab_points].reshape(11, *grid.points[1:])
     np.testing.assert_array_equal(grid.x, x[:, 0, 0])
     np.testing.assert_allclose(slab[velocity.Y], y[0], atol=1e-14)
     np.testing.assert_allclose(slab[velocity.Z], z[0], atol=1e-14)
@@ -33,8 +33,12 @@ def test_velocity_grid(points):
     for row, axis in ((velocity.Y_SLOPE, 0), (velocity.Z_SLOPE, 1)):
         index = np.indices(grid.points[1:])[axis]
         np.testing.assert_array_equal(slab[row], (index > 0) & (index < grid.points[1 + axis] - 1))
+    at_end = [(np.indices(grid.points[1:])[q] % max(n - 1, 1) == 0) & (n > 1) for q, n in enumerate(grid.points[1:])]
+    np.testing.assert_array_equal(slab[velocity.EDGE], at_end[0] | at_end[1])
+    np.testing.assert_allclose(slab[velocity.SPEED2], y[0] ** 2 + z[0] ** 2, rtol=1e-14)
     for row in (velocity.Y, velocity.Z, velocity.VALID, velocity.Y_OPEN, velocity.Z_OPEN, velocity.Y_SLOPE):
         assert not grid.slab[row, grid.slab_points :].any()
+    assert not grid.slab[velocity.EDGE, grid.slab_points :].any()
     assert np.all(slab[velocity.VALID] == 1.0)
     # nodes and faces mirror to the last bit, so that symmetric states stay symmetric
     for q, n in enumerate(points):

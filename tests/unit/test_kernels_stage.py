@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy_twins import SHAPES, Twin, both_sides, gaussian, make_grid, pack, random_g, ten_sums
+from numpy_twins import SHAPES, Twin, both_sides, gaussian, make_grid, nodes, pack, random_g, ten_sums
 
 from rvm_mpi import stage
 from rvm_mpi.domain import Domain
@@ -42,8 +42,8 @@ def test_mix(points, seed, share):
     dirty = pack(grid, block)
     dirty.reshape(-1, grid.slab_size)[:, grid.slab_points :] = 1e9  # whatever the padding holds
     stage.mix(
-        dirty, fx, fs, 0.7, pack(grid, gaussian), share, grid.points[0], grid.slab_size, kernel.slab, out,
-        grid.block, extremes,
+        dirty, fx, fs, 0.7, pack(grid, gaussian), share, grid.points[0], grid.slab_size, kernel.x, kernel.slab, out,
+        grid.block, True, extremes,
     )  # fmt: skip
     factor = fx[:, None, None] * fs[: grid.slab_points].reshape(1, *grid.points[1:])
     wanted = 0.7 * block * factor + share * gaussian
@@ -51,6 +51,12 @@ def test_mix(points, seed, share):
     np.testing.assert_allclose(grid.unpack(found), wanted, rtol=1e-13, atol=1e-15 * np.abs(wanted).max())
     assert not found.reshape(-1, grid.slab_size)[:, grid.slab_points :].any()
     assert (extremes[0], extremes[1]) == (grid.unpack(found).min(), grid.unpack(found).max())
+    outer = wanted.copy()
+    outer[tuple(slice(1, -1) if n > 1 else slice(None) for n in grid.points)] = 0.0
+    speed2 = sum(axis**2 for axis in nodes(grid))
+    scale = np.abs(outer).sum()
+    assert extremes[2] == pytest.approx(outer.sum(), abs=1e-13 * scale)
+    assert extremes[3] == pytest.approx((outer * speed2).sum(), abs=1e-13 * scale * speed2.max())
     untouched = np.r_[0 : grid.block, 2 * grid.block : 3 * grid.block]
     np.testing.assert_array_equal(out[untouched], before[untouched])
 

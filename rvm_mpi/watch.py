@@ -1,0 +1,66 @@
+"""What a run watches after each step: its balances, and how much of g is in the outermost velocities.
+
+A warning is said once when a quantity passes its threshold, and again each time it has grown by ten.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from rvm_mpi.job import Job
+
+AGAIN = 10.0
+"""Growth after which a warning is repeated."""
+
+
+def promised(job: Job) -> tuple[str, ...]:
+    """Columns of the history that a run of this job keeps to round-off.
+
+    Mass always; momentum and energy where the moments are carried and g is corrected to them.
+    """
+    return ("mass_error", "momentum_error", "energy_error") if job.scheme.conservative else ("mass_error",)
+
+
+class Watch:
+    """Compares the rows of the history with the thresholds of a job's `[watch]`.
+
+    Parameters
+    ----------
+    job : Job
+    """
+
+    def __init__(self, job: Job) -> None:
+        watch = job.watch
+        self._stop = watch.box_stop
+        #: size above which a quantity is spoken of next
+        self._next = dict.fromkeys(promised(job), watch.balance)
+        self._next.update({"box_mass": watch.box_warning, "box_energy": watch.box_warning})
+
+    def warnings(self, row: Mapping[str, float]) -> list[str]:
+        """Lines on what has passed its threshold with this row, or grown by ten since it was spoken of."""
+        lines = []
+        for name, threshold in self._next.items():
+            size = abs(row[name])
+            if size <= threshold:
+                continue
+            self._next[name] = AGAIN * size
+            lines.append(f"{_WORDS[name].format(size)} in step {row['step']:.0f} at t = {row['time']:.6g}")
+        return lines
+
+    def reason_to_stop(self, row: Mapping[str, float]) -> str:
+        """Why the run must not go on with this row; empty if it may."""
+        for name in ("box_mass", "box_energy"):
+            if row[name] > self._stop:
+                return f"{_WORDS[name].format(row[name])}, above watch.box_stop = {self._stop:g}"
+        return ""
+
+
+_WORDS = {
+    "mass_error": "the balance of mass is off by {:.2g} of the mass at the start",
+    "momentum_error": "the balance of momentum is off by {:.2g} of mass times omega at the start",
+    "energy_error": "the balance of energy is off by {:.2g} of the energy at the start",
+    "box_mass": "the outermost velocities hold {:.2g} of some cell's mass",
+    "box_energy": "the outermost velocities hold {:.2g} of some cell's energy",
+}
