@@ -17,6 +17,7 @@ CASES = [
     ("macroscopic", "macroscopic", 0.0, False),
     ("macroscopic,conservative", "macroscopic", 0.0, True),
     ("macroscopic,synchronise=200", "macroscopic", 200.0, False),
+    ("macroscopic,synchronise=auto", "macroscopic", "auto", False),
     ("kinetic", "kinetic", 0.0, True),
 ]
 

@@ -74,12 +74,16 @@ def resolve(job: Job) -> Job:
 def _check_choices(job: Job) -> None:
     """Choices that exclude each other."""
     kind = job.scaling.kind
-    if job.scaling.synchronise > 0 and kind != "macroscopic":
+    if job.scaling.synchronise != 0.0 and kind != "macroscopic":
         raise KeyProblem(
             "scaling.synchronise",
             f'not used with scaling.kind = "{kind}"',
             job.scaling.synchronise,
             'other than 0 with scaling.kind = "macroscopic" only',
+        )
+    if job.scaling.synchronise == "auto" and job.space.dimensions == 0:
+        raise KeyProblem(
+            "scaling.synchronise", "no cell sets an automatic rate without space", "auto", "a rate >= 0"
         )
     if kind == "macroscopic" and not job.fluid.enabled:
         raise KeyProblem(

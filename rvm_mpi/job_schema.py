@@ -7,10 +7,11 @@ is None until `rvm_mpi.job_checks.resolve` fills it in; its type is the one it h
 from __future__ import annotations
 
 import re
+import sys
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal, get_args
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PrivateAttr, model_validator
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PlainValidator, PrivateAttr, model_validator
 
 LARGEST_SEED = 2**63 - 1
 FOLLOWS: Any = None
@@ -20,8 +21,8 @@ Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 Positive = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0)]
 NonNegative = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0)]
 Fraction = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0, le=1)]
-Vector = tuple[Number, ...]
 Share = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0, le=1)]
+Vector = tuple[Number, ...]
 Text = Annotated[str, Field(strict=True)]
 Switch = Annotated[bool, Field(strict=True)]
 
@@ -153,10 +154,14 @@ class Velocity(Section):
         return tuple(2 * width / n for width, n in zip(self.half_width, self.points, strict=True))
 
 
-def _no_auto(value: Any) -> Any:
+def _rate_or_auto(value: Any) -> Any:
     if value == "auto":
-        raise ValueError("an automatic rate is not available")
-    return value
+        return value
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        raise ValueError("wrong type")
+    if not 0.0 <= value <= sys.float_info.max:
+        raise ValueError("out of range")
+    return float(value)
 
 
 class Scaling(Section):
@@ -165,8 +170,8 @@ class Scaling(Section):
     kind: Literal["none", "macroscopic", "kinetic"] = Field(
         default="kinetic", description='"none" | "macroscopic" | "kinetic"'
     )
-    synchronise: Annotated[NonNegative, BeforeValidator(_no_auto)] = Field(
-        default=0.0, description='a rate >= 0, other than 0 with scaling.kind = "macroscopic" only'
+    synchronise: Annotated[float | Literal["auto"], PlainValidator(_rate_or_auto)] = Field(
+        default=0.0, description='a rate >= 0 or "auto", other than 0 with scaling.kind = "macroscopic" only'
     )
 
 
@@ -278,11 +283,6 @@ class Output(Section):
     marginals: Switch = Field(default=False, description="true | false")
 
 
-# --------------------------------------------------------------------------------------------- initial states
-
-
-class Uniform(Section):
-    """The same state everywhere; `stress`, a temperature tensor, makes it an anisotropic Gaussian."""
 class Watch(Section):
     """What a run says, or ends for, when it happens (`rvm_mpi/watch.py`)."""
 
@@ -295,6 +295,11 @@ class Watch(Section):
     balance: Positive = Field(default=1e-10, description="a number > 0, relative")
 
 
+# --------------------------------------------------------------------------------------------- initial states
+
+
+class Uniform(Section):
+    """The same state everywhere; `stress`, a temperature tensor, makes it an anisotropic Gaussian."""
 
     state: Literal["uniform"]
     density: Positive = Field(default=1.0, description="a number > 0")

@@ -43,6 +43,9 @@ COLLAPSED = 1e-12
 #: the fluid's own Courant number, up to which it keeps density and temperature positive
 FLUID_CFL = 0.5
 
+#: automatic rate of synchronisation over the fastest at which sound crosses a cell
+SYNCHRONISED = 1 / 3
+
 InitialState = Callable[[np.ndarray, np.ndarray], tuple[Any, Any, Any]]
 
 
@@ -179,9 +182,6 @@ class Simulation:
         self.diagnostics.update(report)
         return Step(self.number, self.time, dt, limit)
 
-    def _step_length(self) -> tuple[float, str]:
-        """The longest step allowed, and the name of the limit that sets it."""
-        time = self.job.time
     def _collapse(self, dt: float, limit: str) -> NumericalFailure:
         cell = None
         if limit.startswith(("transport", "dissipation")):
@@ -190,6 +190,9 @@ class Simulation:
         what = f"the time step has collapsed to {dt:.3g}, limited by {limit}{where}"
         return NumericalFailure(f"{what}; step {self.number + 1} from t = {self.time:.6g}", cell, dt=dt)
 
+    def _step_length(self) -> tuple[float, str]:
+        """The longest step allowed, and the name of the limit that sets it."""
+        time = self.job.time
         if time.dt is not None or time.cfl is None:
             return float(time.dt or time.end), "time.dt"
         limits = {
@@ -221,11 +224,23 @@ class Simulation:
         self.fluid.advance(dt)
         scaling = self.job.scaling
         if scaling.kind == "macroscopic":
-            if scaling.synchronise > 0.0:
+            if scaling.synchronise != 0.0:
                 d = self.job.velocity.dimensions
-                state, _temperature = self.kinetic.macroscopic()
-                self.fluid.relax_towards(state[..., [*range(d + 1), 4]], scaling.synchronise, dt)
+                state, temperature = self.kinetic.macroscopic()
+                rate = self._synchronise_rate(temperature) if scaling.synchronise == "auto" else scaling.synchronise
+                self.fluid.relax_towards(state[..., [*range(d + 1), 4]], rate, dt)
             self.kinetic.set_scaling(self.fluid.omega(), dt)
+
+    def _synchronise_rate(self, temperature: np.ndarray) -> float:
+        """The automatic rate: a third of the fastest at which sound of f's temperature (ny, nx) crosses a cell.
+
+        What Euler lacks parts the two by a gradient's width over the speed of sound, and a gradient is some cells wide:
+        a much slower rate lets them part, a much faster one ties omega to the moments that it scales. One rate for
+        all cells: what reaches the cold ones comes from the hot ones.
+        """
+        d, space = self.job.velocity.dimensions, self.domain.dimensions
+        hottest = self.domain.maximum(float(temperature.max()))[0]
+        return SYNCHRONISED * math.sqrt((d + 2) / d * hottest) / min(self.domain.spacing[:space])
 
     # -- checkpoints ------------------------------------------------------------------------------------------
 
@@ -363,12 +378,14 @@ class Diagnostics:
         sums = exact_sums(arrays, sim.domain.comm)
         *totals, heat, square, fluid_mass, fluid_energy_sum, fluid_heat, fluid_square = sums[: d + 8]
         dissipated, deviation = sums[d + 8 : d + 10]
+        box = (report.box_mass, report.box_energy) if report else sim.kinetic.box_shares()
         largest = sim.domain.maximum(
             -(report.smallest if report else float(self._interior_g().min())),
             report.largest if report else float(self._interior_g().max()),
             report.mismatch if report else 0.0,
             -float(temperature.min()),
             float(temperature.max()),
+            *box,
         )
         self.temperature_range = (-largest[3], largest[4])
         replaced = exact_sums([np.array([float(report.replaced if report else 0)])], sim.domain.comm)[0]
@@ -378,14 +395,12 @@ class Diagnostics:
         none = math.nan
         fluid = sim.fluid is not None
         row: dict[str, float] = {"step": sim.number, "time": sim.time, "dt": sim.last_dt}
-        box = (report.box_mass, report.box_energy) if report else sim.kinetic.box_shares()
         row.update({part: float(value) * sim.volume for part, value in zip(self._parts, totals)})
         row["fluid_energy"] = float(fluid_energy_sum) * sim.volume if fluid else none
         row["dissipated_energy"] = self._dissipated
         row.update(self._entered)
         row["mean_temperature"] = float(heat / totals[0])
         row["fluid_mean_temperature"] = float(fluid_heat / fluid_mass) if fluid else none
-            *box,
         row["density_variance"] = float(square) / cells - (float(totals[0]) / cells) ** 2
         row["density_deviation"] = float(deviation) / cells
         row["fluid_density_variance"] = (
@@ -393,6 +408,7 @@ class Diagnostics:
         )
         row["min_g"], row["max_g"], row["correction"] = -largest[0], largest[1], largest[2]
         row["gaussians_replaced"] = float(replaced)
+        row["box_mass"], row["box_energy"] = largest[5], largest[6]
         row.update(self._balances(row))
         self.row = row
 
@@ -408,7 +424,6 @@ class Diagnostics:
         gained = {part: sum(self._entered[f"entered_{part}_{name}"] for name in self._sides) for part in self._parts}
         mass = row["mass"] - first["mass"] - gained["mass"]
         energy = row["energy"] - first["energy"] - gained["energy"] + self._dissipated
-        row["box_mass"], row["box_energy"] = largest[5], largest[6]
         momentum = max(abs(row[part] - first[part] - gained[part]) for part in self._parts[1:-1])
         return {
             "mass_error": mass / first["mass"],
@@ -613,27 +628,29 @@ class Run:
         try:
             if self.saved is None:
                 self.record()
+                self.warn()
             self.take_snapshot()
             control.start(8.0 * math.prod(sim.domain.cells) * sim.kinetic.grid.block)
             for step in sim:
                 self.record()
+                self.warn()
                 if progress is not None:
                     row = sim.diagnostics.row
                     temperatures = sim.diagnostics.temperature_range
                     progress.update(step.number, step.time, step.dt, row["mass_error"], row["min_g"], temperatures)
                 self.take_snapshot()
+                if self.watch.reason_to_stop(sim.diagnostics.row):
+                    return self.stop_at_the_box()
                 decision = control.agree(sim.domain)
                 if sim.finished:
                     break
                 if decision.checkpoint:
                     self.save()
                     control.took_checkpoint()
-                self.warn()
                 if decision.stop:
                     stopped = decision.stop
                     break
             if not stopped:
-                self.warn()
                 self.take_last_snapshot()
                 if self.saved != sim.number:
                     self.save()
@@ -642,8 +659,6 @@ class Run:
             return 3
         except DiskFailure as error:
             self.say(f"rvm: {sim.job.name}: {error}{self._last_checkpoint()}")
-                if self.watch.reason_to_stop(sim.diagnostics.row):
-                    return self.stop_at_the_box()
             return 3
         if progress is not None:
             progress.close()
@@ -661,21 +676,6 @@ class Run:
 
     def _last_checkpoint(self) -> str:
         return "" if self.saved is None else f"; the checkpoint of step {self.saved} is there for --restart"
-
-    def save(self) -> None:
-        """Write a checkpoint, once all that was written before it is on disk."""
-        sim = self.simulation
-        files = [self.output / "fields.h5", *([self.output / "history.csv"] if self.head else [])]
-        with checkpoint.agreed(sim.domain, self.output):
-            for file in files:
-                checkpoint.flush_to_disk(file)
-        begin = clock.perf_counter()
-        path = checkpoint.write(sim.state(), sim.domain, sim.job, self.output, sim.number)
-        self.saved = sim.number
-        if self.log is not None:
-            size, seconds = path.stat().st_size / 1e6, clock.perf_counter() - begin
-            self.log.write(f"checkpoint of step {sim.number}, t = {sim.time:.6g}: {size:.1f} MB in {seconds:.2f} s\n")
-            self.log.flush()
 
     def _last_healthy(self) -> str:
         row = self.simulation.diagnostics.row
@@ -718,6 +718,21 @@ class Run:
             "a wider velocity.half_width needs a new run"
         )
         return 3
+
+    def save(self) -> None:
+        """Write a checkpoint, once all that was written before it is on disk."""
+        sim = self.simulation
+        files = [self.output / "fields.h5", *([self.output / "history.csv"] if self.head else [])]
+        with checkpoint.agreed(sim.domain, self.output):
+            for file in files:
+                checkpoint.flush_to_disk(file)
+        begin = clock.perf_counter()
+        path = checkpoint.write(sim.state(), sim.domain, sim.job, self.output, sim.number)
+        self.saved = sim.number
+        if self.log is not None:
+            size, seconds = path.stat().st_size / 1e6, clock.perf_counter() - begin
+            self.log.write(f"checkpoint of step {sim.number}, t = {sim.time:.6g}: {size:.1f} MB in {seconds:.2f} s\n")
+            self.log.flush()
 
     def record(self) -> None:
         """Append the present row to the history (rank 0)."""

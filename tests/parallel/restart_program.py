@@ -50,7 +50,7 @@ CASES = {
     },
     "2d-macroscopic": {
         "space": {"cells": [7, 9]},
-        "scaling": {"kind": "macroscopic"},
+        "scaling": {"kind": "macroscopic", "synchronise": "auto"},
         "collision": GRANULAR,
         "initial": RANDOM,
     },

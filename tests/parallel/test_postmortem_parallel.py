@@ -11,7 +11,7 @@ from rvm_mpi.checkpoint import Checkpoint
 from rvm_mpi.results import _open, read_history
 
 PROGRAM = Path(__file__).with_name("postmortem_program.py")
-CELL, STEP = (10, 7), 4
+CELL, STEP = (11, 7), 4
 
 
 @pytest.fixture(scope="module")
@@ -20,7 +20,7 @@ def failed(mpirun, tmp_path_factory):
     found = {}
     for ranks in (1, 3):
         directory = tmp_path_factory.mktemp("failed") / "run"
-        done = mpirun(ranks, PROGRAM, directory, CELL[0], CELL[1], STEP, timeout=240, env={"PYTHONPATH": "."})
+        done = mpirun(ranks, PROGRAM, directory, *map(str, (*CELL, STEP)), timeout=240, env={"PYTHONPATH": str(PROGRAM.parents[2])})
         assert done.returncode == 3, done.stderr
         found[ranks] = directory, [line for line in done.stderr.splitlines() if line.startswith("rvm: ")]
     return found
@@ -33,10 +33,10 @@ def test_one_line_says_where_and_what_is_left(failed, ranks):
     assert len(lines) == 1
     document = json.loads((directory / "post-mortem.json").read_text())
     rank = document["where"]["rank"]
-    assert (rank > 0) is (ranks > 1)  # cell (10, 7) is not rank 0's
+    assert (rank > 0) is (ranks > 1)  # cell (11, 7) is not rank 0's
     of_rank = f" of rank {rank}" if ranks > 1 else ""
     assert lines[0].startswith(
-        f"rvm: poisoned: g is not a number in cell (10, 7) at (0.875, 0.8333){of_rank}, velocity node (2, 4); step 4 "
+        f"rvm: poisoned: g is not a number in cell (11, 7) at (0.9583, 0.8333){of_rank}, velocity node (2, 4); step 4 "
     )
     assert "; last healthy: step 3, t = " in lines[0]
     assert "; the checkpoint of step 3 is there for --restart; more in " in lines[0]

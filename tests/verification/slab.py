@@ -15,7 +15,14 @@ KNUDSEN, END = 0.05, 0.1
 FIELDS = ("density", "velocity", "temperature")
 
 
-def slab(cells: int, points: int, half_width: float, scaling: str, synchronise: float = 0.0, conservative: bool = True):
+def slab(
+    cells: int,
+    points: int,
+    half_width: float,
+    scaling: str,
+    synchronise: float | str = 0.0,
+    conservative: bool = True,
+):
     """Density, velocity and temperature (cells,) at the end, and the simulation."""
     simulation = run(
         build(

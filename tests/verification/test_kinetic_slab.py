@@ -11,6 +11,7 @@ def test_errors_of_the_scalings_against_classical_variables():
         ("kinetic", "kinetic", 0.0),
         ("macroscopic", "macroscopic", 0.0),
         ("synchronised", "macroscopic", 200.0),
+        ("automatic", "macroscopic", "auto"),
     ):
         *numerical, simulation = slab(32, 24, 7.0, scaling, synchronise, conservative=scaling == "kinetic")
         found[name] = errors(numerical, exact)
@@ -18,6 +19,7 @@ def test_errors_of_the_scalings_against_classical_variables():
         print(f"{name}: errors {found[name]}, {simulation.number} steps, energy error {row['energy_error']:.1e}")
         assert row["min_g"] >= 0 and abs(row["mass_error"]) < 1e-13
     assert found["kinetic"][0] < 0.035 and found["kinetic"][2] < 0.045
-    assert found["synchronised"][0] < 0.04 and found["synchronised"][2] < 0.06
+    for name in ("synchronised", "automatic"):
+        assert found[name][0] < 0.04 and found[name][2] < 0.06
     assert found["kinetic"][0] < found["macroscopic"][0] < 0.1
     assert found["kinetic"][2] < found["macroscopic"][2] < 0.15
