@@ -25,7 +25,7 @@ CASES = [
 def main() -> None:
     exact = reference()
     check = errors(reference(128, 400), exact)
-    rows = [("none,V=60,128cells", 400, *check, 0, 0.0)]
+    rows = [("none,V=60,128cells", 400, *check, 0, 0.0, 0.0)]
     for name, scaling, synchronise, conservative in CASES:
         for points in (24, 48, 96):
             try:
@@ -34,8 +34,9 @@ def main() -> None:
                 print(f"{name}, {points} velocities: {failure}", flush=True)
                 continue
             row = simulation.diagnostics.row
-            rows.append((name, points, *errors(numerical, exact), simulation.number, row["energy_error"]))
-    table("scaling velocities density velocity temperature steps energy_error", rows)
+            watched = row["energy_error"], row["box_energy"]
+            rows.append((name, points, *errors(numerical, exact), simulation.number, *watched))
+    table("scaling velocities density velocity temperature steps energy_error box_energy", rows)
 
 
 if __name__ == "__main__":

@@ -20,7 +20,8 @@ def failed(mpirun, tmp_path_factory):
     found = {}
     for ranks in (1, 3):
         directory = tmp_path_factory.mktemp("failed") / "run"
-        done = mpirun(ranks, PROGRAM, directory, *map(str, (*CELL, STEP)), timeout=240, env={"PYTHONPATH": str(PROGRAM.parents[2])})
+        arguments = (PROGRAM, directory, *map(str, (*CELL, STEP)))
+        done = mpirun(ranks, *arguments, timeout=240, env={"PYTHONPATH": str(PROGRAM.parents[2])})
         assert done.returncode == 3, done.stderr
         found[ranks] = directory, [line for line in done.stderr.splitlines() if line.startswith("rvm: ")]
     return found
