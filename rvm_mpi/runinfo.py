@@ -28,6 +28,9 @@ def describe_run(path: Path) -> Iterator[str]:
     yield from _field_lines(path)
     names = [p.name for p in rundir.checkpoints(path)]
     yield _row("checkpoints", ", ".join(names) or "none")
+    failures = sorted(path.glob("post-mortem*.json"))
+    if failures:
+        yield _row("post-mortem", ", ".join(p.name for p in failures))
 
 
 def _row(name: str, text: str) -> str:

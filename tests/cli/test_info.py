@@ -45,7 +45,10 @@ def test_a_run_half_way(tmp_path, capsys):
         history.append({**row, "mean_temperature": 1.0 - 0.25 * step})
     history.close()
     (tmp_path / "checkpoint-000002.h5").write_bytes(b"")
+    assert "post-mortem" not in shown(tmp_path, capsys)
+    (tmp_path / "post-mortem.json").write_bytes(b"")
     lines = shown(tmp_path, capsys)
+    assert lines["post-mortem"] == "post-mortem.json"
     assert lines["progress"] == "step 2, t = 1 of 2 (50.0 %)"
     assert "all numbers finite" in lines["health"]
     assert "mass error 2.0e-15" in lines["health"]
