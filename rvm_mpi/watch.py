@@ -5,6 +5,7 @@ A warning is said once when a quantity passes its threshold, and again each time
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
@@ -42,7 +43,7 @@ class Watch:
         """Lines on what has passed its threshold with this row, or grown by ten since it was spoken of."""
         lines = []
         for name, threshold in self._next.items():
-            size = abs(row[name])
+            size = _size(name, row)
             if size <= threshold:
                 continue
             self._next[name] = AGAIN * size
@@ -57,10 +58,23 @@ class Watch:
         return ""
 
 
+def _size(name: str, row: Mapping[str, float]) -> float:
+    """What is compared with the threshold: of a balance its error over what there was and what passed the sides.
+
+    Sums of what entered round at their own size, which grows without end between open sides.
+    """
+    part = name.removesuffix("_error")
+    entered = sum(abs(value) for key, value in row.items() if key.startswith(f"entered_{part}"))
+    if entered == 0.0:
+        return abs(row[name])
+    unit = math.sqrt(row["mass"] * row["energy"]) if part == "momentum" else row[part]
+    return abs(row[name]) / (1.0 + entered / unit)
+
+
 _WORDS = {
-    "mass_error": "the balance of mass is off by {:.2g} of the mass at the start",
-    "momentum_error": "the balance of momentum is off by {:.2g} of mass times omega at the start",
-    "energy_error": "the balance of energy is off by {:.2g} of the energy at the start",
+    "mass_error": "the balance of mass is off by {:.2g} of what there was and what came through the sides",
+    "momentum_error": "the balance of momentum is off by {:.2g} of mass times omega and what came through the sides",
+    "energy_error": "the balance of energy is off by {:.2g} of what there was and what came through the sides",
     "box_mass": "the outermost velocities hold {:.2g} of some cell's mass",
     "box_energy": "the outermost velocities hold {:.2g} of some cell's energy",
 }

@@ -66,9 +66,20 @@ def test_balances_are_watched_where_they_are_promised(conservative):
     job = make_job(scaling={"kind": "macroscopic"}, scheme={"conservative": conservative}, watch={"balance": 1e-9})
     row = {"mass_error": -2e-9, "momentum_error": 1e-8, "energy_error": -3e-9, "box_mass": 0.0, "box_energy": 0.0}
     lines = watch.Watch(job).warnings({**row, "step": 3, "time": 0.25})
-    assert lines[0] == "the balance of mass is off by 2e-09 of the mass at the start in step 3 at t = 0.25"
+    words = "the balance of mass is off by 2e-09 of what there was and what came through the sides"
+    assert lines[0] == f"{words} in step 3 at t = 0.25"
     assert len(lines) == (3 if conservative else 1)
     assert watch.Watch(job).warnings({**dict.fromkeys(row, 0.9e-9), "step": 3, "time": 0.25}) == []
+
+
+def test_between_open_sides_a_balance_is_relative_to_what_came_through():
+    job = make_job(watch={"balance": 1e-9})
+    row = {"mass_error": 2e-8, "momentum_error": 0.0, "energy_error": -3e-8, "box_mass": 0.0, "box_energy": 0.0}
+    row |= {"mass": 2.0, "energy": 8.0, "step": 3, "time": 0.25}
+    through = {"entered_mass_x-lower": 30.0, "entered_mass_x-upper": -28.0, "entered_energy_x-lower": -80.0}
+    lines = watch.Watch(job).warnings({**row, **through, "entered_momentum_x_x-lower": 1e9})
+    assert [line.split(" is off")[0] for line in lines] == ["the balance of energy"]
+    assert f"off by {3e-8 / 11:.2g} of" in lines[0]
 
 
 def test_a_run_whose_gas_is_lost_says_so(tmp_path, capsys, monkeypatch):
@@ -86,8 +97,8 @@ def test_a_run_whose_gas_is_lost_says_so(tmp_path, capsys, monkeypatch):
     mass = read_history(tmp_path / "run")["mass_error"]
     assert abs(mass[2]) < 1e-14 and 1e-10 < -mass[3] < 1e-8
     assert [line for line in warnings if "of mass is off" in line] == [
-        f"rvm: watched: warning: the balance of mass is off by {-mass[3]:.2g} of the mass at the start in step 3 at "
-        f"t = {read_history(tmp_path / 'run')['time'][3]:.6g}"
+        f"rvm: watched: warning: the balance of mass is off by {-mass[3]:.2g} of what there was and what came through "
+        f"the sides in step 3 at t = {read_history(tmp_path / 'run')['time'][3]:.6g}"
     ]
     assert all(line in (tmp_path / "run" / "run.log").read_text() for line in warnings)
 
