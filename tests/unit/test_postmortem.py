@@ -20,6 +20,7 @@ CASES = {
     "paper": {"collision": GRANULAR, **PAPER},
     "unscaled": {"collision": {"operator": "none"}, "scaling": {"kind": "none"}, "scheme": {"conservative": False}},
     "boltzmann": {"collision": BOLTZMANN},
+    "elastic boltzmann": {"collision": {**BOLTZMANN, "restitution": 1.0}},
     "penalised": {"collision": {**BOLTZMANN, "penalise": True}},
     "paper's boltzmann": {"collision": BOLTZMANN, **PAPER},
 }

@@ -126,3 +126,12 @@ def test_a_stop_at_the_box_with_a_checkpoint_and_going_on(tmp_path, capsys):
     assert run_job(whole, tmp_path / "whole", quiet=True) == 0
     assert (tmp_path / "whole" / "history.csv").read_bytes() == (directory / "history.csv").read_bytes()
     assert checkpoint.rundir.checkpoints(directory)[-1].name == "checkpoint-00000006.h5"
+
+
+def test_a_job_is_checked_with_what_it_will_watch(tmp_path, capsys):
+    path = tmp_path / "job.toml"
+    path.write_text(make_job().to_toml())
+    assert main(["check", str(path), "--set", "watch.box_stop=0.05"]) == 0
+    lines = [line for line in capsys.readouterr().out.splitlines() if "warning" in line]
+    assert lines[0].endswith("outermost velocities: a warning above 0.001 of a cell's gas, a stop above 0.05")
+    assert lines[1].endswith("mass, momentum, energy: a warning above 1e-10, relative")
