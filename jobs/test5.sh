@@ -8,10 +8,7 @@ set -euo pipefail
 cd "$(dirname "$0")/.."
 
 [ $# -gt 0 ] || set -- test5_shock test5_hot_spot
-if [ "$(id -u)" = 0 ]; then # Open MPI refuses root unless told
-    export OMPI_ALLOW_RUN_AS_ROOT=1 OMPI_ALLOW_RUN_AS_ROOT_CONFIRM=1
-fi
 for name in "$@"; do
-    mpirun -n "${RANKS:-2}" .venv/bin/rvm run "jobs/$name.toml" --output "runs/$name"
+    jobs/mpirun.sh -n "${RANKS:-2}" .venv/bin/rvm run "jobs/$name.toml" --output "runs/$name"
     .venv/bin/python postprocess/contours.py "runs/$name"
 done
