@@ -17,7 +17,7 @@ import time as clock
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any
 
 import numpy as np
 
@@ -482,7 +482,7 @@ class Run:
         self.output, self.comm = output, sim.domain.comm
         self.head = self.comm.rank == 0
         self.quiet = quiet
-        self.log: TextIO | None = None
+        self.log: rundir.Log | None = None
         self.history: History | None = None
         #: step of the last checkpoint
         self.saved: int | None = sim.number if restart else None
@@ -529,8 +529,9 @@ class Run:
     def __enter__(self) -> Run:
         return self
 
-    def __exit__(self, *_: object) -> None:
-        self.fields.close()
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        if kind is None:  # else this rank may be alone with its error, and the others would not come to close it
+            self.fields.close()
         for file in (self.history, self.log):
             if file is not None:
                 file.close()
@@ -549,10 +550,9 @@ class Run:
         return result
 
     def _open_log(self, facts: dict[str, str], aside: Path | None) -> None:
-        self.log = (self.output / "run.log").open("a", encoding="utf-8")
+        self.log = rundir.Log(self.output / "run.log")
         for key, value in facts.items():
             self.log.write(f"{key}: {value}\n")
-        self.log.flush()
         if aside is not None:
             self.say(f"the run that was in {self.output} is now in {aside}")
 
@@ -562,7 +562,6 @@ class Run:
             return
         if self.log is not None:
             self.log.write(line + "\n")
-            self.log.flush()
         if not self.quiet:
             print(line, file=sys.stderr, flush=True)
 
@@ -657,12 +656,17 @@ class Run:
         if self.log is not None:
             size, seconds = path.stat().st_size / 1e6, clock.perf_counter() - begin
             self.log.write(f"checkpoint of step {sim.number}, t = {sim.time:.6g}: {size:.1f} MB in {seconds:.2f} s\n")
-            self.log.flush()
 
     def record(self) -> None:
-        """Append the present row to the history (rank 0)."""
+        """Append the present row to the history; DiskFailure on every rank if rank 0 cannot."""
+        failed = ""
         if self.history is not None:
-            self.history.append(self.simulation.diagnostics.row)
+            try:
+                self.history.append(self.simulation.diagnostics.row)
+            except OSError as error:
+                failed = str(error)
+        if self.simulation.domain.maximum(float(failed != ""))[0] > 0.0:
+            raise DiskFailure(self.comm.bcast(failed))
 
     def take_snapshot(self) -> None:
         """Write a snapshot if the present time is one of the job's."""

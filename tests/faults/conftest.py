@@ -1,0 +1,36 @@
+"""Fixtures of the fault tests: a job, the undisturbed run of it, and a count of what was tried."""
+
+from collections import Counter
+
+import pytest
+from faults import faulty
+
+
+@pytest.fixture(scope="session")
+def whole(tmp_path_factory):
+    """Directory of the undisturbed run, on one rank."""
+    top = tmp_path_factory.mktemp("whole")
+    (top / "job.toml").write_text(faulty.JOB)
+    status, lines = faulty.run(
+        1, [], top / "job.toml", "--output", top / "run", "--quiet", log=top / "log", bound=faulty.COMPILING
+    )
+    assert (status, lines) == (0, []), (top / "log").read_text()
+    return top / "run"
+
+
+@pytest.fixture
+def place(tmp_path):
+    """A folder with the job file in it."""
+    (tmp_path / "job.toml").write_text(faulty.JOB)
+    return tmp_path
+
+
+@pytest.fixture(scope="session")
+def tally(request):
+    """Counts of what was tried, printed at the end."""
+    counts: Counter[str] = Counter()
+    yield counts
+    terminal = request.config.pluginmanager.get_plugin("terminalreporter")
+    terminal.write_line("")
+    for name, count in sorted(counts.items()):
+        terminal.write_line(f"{name}: {count}")
