@@ -35,6 +35,10 @@ XDMF = "fields.xdmf"
 AXES = ("x", "y", "z")
 
 
+class DiskFailure(OSError):
+    """Something could not be written; raised on every rank, with the same line."""
+
+
 @dataclass(frozen=True)
 class Layout:
     """One dataset of `fields.h5`, as it is in each snapshot (the axis of times comes in front of these).
@@ -129,7 +133,7 @@ class FieldsFile:
 
     Raises
     ------
-    OSError : on all ranks, with one line, if the file cannot be created or opened, or fits another job.
+    DiskFailure : if the file cannot be created or opened, or fits another job.
     RuntimeError : h5py cannot write in parallel here; says what is missing.
     """
 
@@ -200,7 +204,7 @@ class FieldsFile:
 
         Raises
         ------
-        OSError : on all ranks, if any rank cannot write its part; the snapshot then does not exist.
+        DiskFailure : if any rank cannot write its part; the snapshot then does not exist.
         """
         what = f"take snapshot {index} at t = {time:g}"
         if 0 <= index < len(self._stored) and self._stored[index]:
@@ -270,7 +274,7 @@ class FieldsFile:
         failed = [rank for rank, message in enumerate(ranks) if message is not None]
         if failed:
             who = f" (rank {failed[0]})" if self.comm.size > 1 else ""
-            raise OSError(f"{self.path} cannot {what}: {ranks[failed[0]]}{who}") from error
+            raise DiskFailure(f"{self.path} cannot {what}: {ranks[failed[0]]}{who}") from error
 
 
 def _one_line(error: Exception) -> str:

@@ -22,13 +22,14 @@ from typing import Any
 import numpy as np
 
 from rvm_mpi import checkpoint, rundir
-from rvm_mpi.checkpoint import Checkpoint, DiskFailure
+from rvm_mpi.checkpoint import Checkpoint
 from rvm_mpi.control import Control
 from rvm_mpi.domain import Domain
 from rvm_mpi.estimates import stretched_time
 from rvm_mpi.exact_sum import exact_sums
 from rvm_mpi.fluid import FluidSystem
 from rvm_mpi.job import Job, JobError
+from rvm_mpi.results import DiskFailure
 from rvm_mpi.states import macroscopic_state
 from rvm_mpi.stepping import KineticStepper, NumericalFailure, StepReport
 
@@ -452,7 +453,13 @@ def run_job(
         print("compiling the kernels, once per installation: about a minute", file=sys.stderr, flush=True)
     with Control(output, walltime, job.output.checkpoint_every) as control:
         simulation, lines = _resumed(job, output) if restart else (Simulation(job), [])
-        with Run(simulation, output, restart, overwrite, quiet) as run:
+        try:
+            opened = Run(simulation, output, restart, overwrite, quiet)
+        except DiskFailure as error:  # on every rank
+            if simulation.domain.rank == 0:
+                print(f"rvm: {job.name}: {error}", file=sys.stderr, flush=True)
+            return 3
+        with opened as run:
             for line in lines:
                 run.say(line)
             return run.go(control)
@@ -504,9 +511,8 @@ class Run:
         )
         #: times of the snapshots that exist, NaN for the others
         self._times = [t if restart and t <= sim.time else math.nan for t in job.output.times]
-        if self.head:
-            columns = sim.diagnostics.columns
-            self.history = History(output / "history.csv", columns, sim.number if restart else None)
+        columns, done = sim.diagnostics.columns, sim.number if restart else None
+        self.history = self._on_rank_0(lambda: History(output / "history.csv", columns, done))
         if restart:
             self.say(f"restart from step {sim.number}, t = {sim.time:.6g}")
 
@@ -538,12 +544,15 @@ class Run:
 
     def _on_rank_0(self, action: Callable[[], Any]) -> Any:
         """Do something on rank 0; if it cannot, every rank raises the same error."""
-        result, error = None, None
+        result: Any = None
+        error: JobError | DiskFailure | None = None
         if self.head:
             try:
                 result = action()
-            except (JobError, OSError) as caught:
+            except JobError as caught:
                 error = caught
+            except OSError as caught:
+                error = DiskFailure(str(caught))
         error = self.comm.bcast(error)
         if error is not None:
             raise error
@@ -694,9 +703,6 @@ class Run:
         for name, values in sim.walls().items():
             first, count = (j0, ny) if "/x-" in name else (i0, nx)
             extra[name] = ((slice(first, first + count),), values)
-        try:
-            self.fields.write(index, sim.time, sim.snapshot(), extra)
-            self._times[index] = sim.time
-            self._on_rank_0(lambda: write_xdmf(self.output / "fields.xdmf", sim.job, self._times))
-        except OSError as error:  # on every rank
-            raise DiskFailure(str(error)) from error
+        self.fields.write(index, sim.time, sim.snapshot(), extra)
+        self._times[index] = sim.time
+        self._on_rank_0(lambda: write_xdmf(self.output / "fields.xdmf", sim.job, self._times))

@@ -72,7 +72,7 @@ def test_a_file_that_cannot_grow(place, whole, case, tally):
     [
         ("fields", "fill:open:0:1", ["fields.h5 cannot be created", "No space left"]),
         ("checkpoint", "fill:checkpoint:0:4", ["checkpoint-00000004.h5 cannot be written", "No space left"]),
-        ("in a checkpoint", "fill:sums:0:11", ["checkpoint-00000004.h5 cannot be written", "step 3 is there"]),
+        ("in a checkpoint", "fill:blocks:0:4", ["checkpoint-00000004.h5 cannot be written", "step 3 is there"]),
     ],
 )
 def test_a_full_disk(place, whole, case, fault, words, tally):
@@ -139,4 +139,6 @@ def test_an_unwritable_folder_is_refused(place):
         options = ["--output", folder / "run"]
         status, lines = run(2, [], place / "job.toml", *options, log=place / "log")
     assert status == 2
-    assert lines == [f"rvm: {folder}/run: no permission to write in {folder}"]
+    assert lines[0] == f"rvm: {folder}/run: no permission to write in {folder}"
+    # on a busy machine another rank may repeat it before it is ended
+    assert all(line.endswith(lines[0].removeprefix("rvm: ")) for line in lines)
