@@ -552,7 +552,10 @@ class History:
             lines[1:] = [line for line in whole if int(line.split(",")[step]) <= resume_after]
         part = self.path.with_name(self.path.name + ".part")
         with _named(self.path):
-            part.write_text("".join(lines), encoding="ascii")
+            with part.open("w", encoding="ascii") as file:
+                file.writelines(lines)
+                file.flush()
+                os.fsync(file.fileno())  # a crash of the machine must leave one of the two, whole
             part.replace(self.path)
         # without a buffer a row that could not be written is not tried again
         self._file = self.path.open("ab", buffering=0)
