@@ -5,6 +5,24 @@ from collections import Counter
 import pytest
 from faults import faulty
 
+COUNTS = pytest.StashKey[Counter]()
+
+
+def pytest_configure(config):
+    config.stash[COUNTS] = Counter()
+
+
+def pytest_terminal_summary(terminalreporter, config):
+    """The figures, under the results."""
+    for name, count in sorted(config.stash[COUNTS].items()):
+        terminalreporter.write_line(f"{name}: {count}")
+
+
+@pytest.fixture(scope="session")
+def tally(request):
+    """Counts of what was tried, printed at the end."""
+    return request.config.stash[COUNTS]
+
 
 @pytest.fixture(scope="session")
 def whole(tmp_path_factory):
@@ -23,14 +41,3 @@ def place(tmp_path):
     """A folder with the job file in it."""
     (tmp_path / "job.toml").write_text(faulty.JOB)
     return tmp_path
-
-
-@pytest.fixture(scope="session")
-def tally(request):
-    """Counts of what was tried, printed at the end."""
-    counts: Counter[str] = Counter()
-    yield counts
-    terminal = request.config.pluginmanager.get_plugin("terminalreporter")
-    terminal.write_line("")
-    for name, count in sorted(counts.items()):
-        terminal.write_line(f"{name}: {count}")
