@@ -1,7 +1,7 @@
 # make alone lists the targets.
 .DEFAULT_GOAL := help
 SHELL := /bin/bash
-.PHONY: help install demo test long-tests lint clean
+.PHONY: help install demo test long-tests fault-tests lint clean
 
 PYTHON := .venv/bin/python
 RANKS := 2
@@ -33,6 +33,9 @@ test: lint .venv/.kernels  ## lint and the test suite, except what takes minutes
 
 long-tests: lint .venv/.kernels  ## the tests that take minutes or more
 	$(PYTHON) -m pytest -m long
+
+fault-tests: lint .venv/.kernels  ## kills, full disks, signals, damaged files: the long fault suite with its figures
+	$(PYTHON) -m pytest tests/faults
 
 lint:  ## ruff and mypy
 	@scripts/install.sh test

@@ -4,10 +4,9 @@
 #   sbatch jobs/test5_slurm.sh                 test5_shock_kinetic
 #   sbatch jobs/test5_slurm.sh NAME            another job of jobs/
 #
-# Two minutes before the time limit SLURM sends SIGUSR1 to this script (the B: below), which hands it to mpirun,
-# and mpirun to the ranks: rvm writes a checkpoint and exits with status 75, "run again with --restart". This
-# script then puts itself back into the queue, and goes on from the checkpoint when its turn comes.
-# (Not SIGTERM: Open MPI's mpirun answers that by ending the ranks within two seconds.)
+# Two minutes before the time limit SLURM sends SIGUSR1 to this script (the B: below), which hands it to the ranks:
+# rvm writes a checkpoint and exits with status 75, "run again with --restart". This script then puts itself back
+# into the queue, and goes on from the checkpoint when its turn comes; so it does after a node has failed.
 #
 #SBATCH --job-name=rvm-test5
 #SBATCH --nodes=1
@@ -23,22 +22,19 @@ cd "${SLURM_SUBMIT_DIR:?submit this script with sbatch}"
 # module load openmpi petsc hdf5        # as on your cluster: docs/install.md
 
 name=${1:-test5_shock_kinetic}
-restart=()
+how=(--overwrite) # what is there without a checkpoint is moved aside
 if compgen -G "runs/$name/checkpoint-*.h5" >/dev/null; then
-    restart=(--restart)
+    how=(--restart)
 fi
 
-mpirun -n "$SLURM_NTASKS" --bind-to core \
-    .venv/bin/rvm run "jobs/$name.toml" --output "runs/$name" "${restart[@]}" &
-pid=$!
-trap 'kill -USR1 "$pid"' USR1
-
-status=0
-wait "$pid" || status=$?
-while kill -0 "$pid" 2>/dev/null; do # the signal ended the wait, not the run
-    status=0
-    wait "$pid" || status=$?
-done
+jobs/mpirun.sh -n "$SLURM_NTASKS" --bind-to core \
+    .venv/bin/rvm run "jobs/$name.toml" --output "runs/$name" "${how[@]}" &
+trap 'interrupted=yes; kill -USR1 "$!"' USR1
+while # the signal ends the wait, not the run
+    interrupted='' status=0
+    wait "$!" || status=$?
+    [ -n "$interrupted" ]
+do :; done
 
 if [ "$status" = 75 ]; then
     scontrol requeue "$SLURM_JOB_ID"

@@ -30,7 +30,7 @@ import numpy as np
 from rvm_mpi import __version__, rundir
 from rvm_mpi.job import Job, JobError
 from rvm_mpi.job_text import parse_toml
-from rvm_mpi.results import _import_h5py, _open
+from rvm_mpi.results import DiskFailure, _import_h5py, _open
 
 if TYPE_CHECKING:
     from rvm_mpi.domain import Domain
@@ -42,10 +42,6 @@ CALL = 2**30
 SIDES = ("x-lower", "x-upper", "y-lower", "y-upper")
 
 T = TypeVar("T")
-
-
-class DiskFailure(OSError):
-    """Something could not be written; the same line on every rank."""
 
 
 class DamagedCheckpoint(OSError):

@@ -44,6 +44,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return int(options.function(options))
     except JobError as error:
         return failures.refuse(error)
+    except KeyboardInterrupt:
+        return failures.interrupted()
     except BrokenPipeError:
         # a reader such as `head` has seen enough; keep Python from complaining when it flushes at exit
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -18,6 +18,7 @@ from rvm_mpi.job_text import JobError, one_line
 
 REFUSED = 2
 FAILED = 3
+INTERRUPTED = 130  # as a shell has it for Ctrl-C
 PATIENCE = 1.5
 """Seconds that a rank other than 0 leaves to rank 0 to say what is wrong for all."""
 
@@ -70,6 +71,15 @@ def refuse(error: JobError) -> int:
     if communicator is not None:
         communicator.Abort(REFUSED)
     return REFUSED
+
+
+def interrupted() -> int:
+    """End after Ctrl-C outside a run, which would take it as a wish to stop: one line; returns exit status 130."""
+    _say("rvm: interrupted")
+    communicator = _communicator()
+    if communicator is not None:
+        communicator.Abort(INTERRUPTED)
+    return INTERRUPTED
 
 
 def fail(error: BaseException, log: Path | None = None) -> int:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, TextIO
 
 if TYPE_CHECKING:
     from rvm_mpi.job import Job
+    from rvm_mpi.rundir import Log
 
 FIRST_STEPS = 3  # always reported, so that a bad start is seen at once
 INTERVAL = 10.0  # seconds between lines; from ten minutes on a sixtieth of the time so far
@@ -34,7 +35,7 @@ class Progress:
         self,
         job: Job,
         stream: TextIO | None,
-        log: TextIO | None = None,
+        log: TextIO | Log | None = None,
         ranks: int = 1,
         stages: int = 2,
         start_time: float = 0.0,

@@ -8,6 +8,7 @@ is written last.
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import os
 import sys
@@ -32,6 +33,10 @@ FIELDS = "fields.h5"
 HISTORY = "history.csv"
 XDMF = "fields.xdmf"
 AXES = ("x", "y", "z")
+
+
+class DiskFailure(OSError):
+    """Something could not be written; raised on every rank, with the same line."""
 
 
 @dataclass(frozen=True)
@@ -128,7 +133,7 @@ class FieldsFile:
 
     Raises
     ------
-    OSError : on all ranks, with one line, if the file cannot be created or opened, or fits another job.
+    DiskFailure : if the file cannot be created or opened, or fits another job.
     RuntimeError : h5py cannot write in parallel here; says what is missing.
     """
 
@@ -199,7 +204,7 @@ class FieldsFile:
 
         Raises
         ------
-        OSError : on all ranks, if any rank cannot write its part; the snapshot then does not exist.
+        DiskFailure : if any rank cannot write its part; the snapshot then does not exist.
         """
         what = f"take snapshot {index} at t = {time:g}"
         if 0 <= index < len(self._stored) and self._stored[index]:
@@ -269,7 +274,7 @@ class FieldsFile:
         failed = [rank for rank, message in enumerate(ranks) if message is not None]
         if failed:
             who = f" (rank {failed[0]})" if self.comm.size > 1 else ""
-            raise OSError(f"{self.path} cannot {what}: {ranks[failed[0]]}{who}") from error
+            raise DiskFailure(f"{self.path} cannot {what}: {ranks[failed[0]]}{who}") from error
 
 
 def _one_line(error: Exception) -> str:
@@ -496,6 +501,15 @@ def open_run(directory: str | Path) -> xarray.Dataset:
         return xarray.Dataset(variables, coordinates, dict(file.attrs))
 
 
+@contextlib.contextmanager
+def _named(path: str | Path) -> Iterator[None]:
+    """An error of the disk names the file, which Python leaves out when writing fails after opening."""
+    try:
+        yield
+    except OSError as error:
+        raise OSError(f"{path} cannot be written: {error.strerror or error}") from error
+
+
 def _datasets(group: Any, prefix: str = "") -> Iterator[tuple[str, Any]]:
     for name, item in group.items():
         if hasattr(item, "shape"):
@@ -537,9 +551,14 @@ class History:
             whole = (line for line in lines[1:] if line.endswith("\n"))
             lines[1:] = [line for line in whole if int(line.split(",")[step]) <= resume_after]
         part = self.path.with_name(self.path.name + ".part")
-        part.write_text("".join(lines), encoding="ascii")
-        part.replace(self.path)
-        self._file = self.path.open("a", encoding="ascii", newline="\n")
+        with _named(self.path):
+            with part.open("w", encoding="ascii") as file:
+                file.writelines(lines)
+                file.flush()
+                os.fsync(file.fileno())  # a crash of the machine must leave one of the two, whole
+            part.replace(self.path)
+        # without a buffer a row that could not be written is not tried again
+        self._file = self.path.open("ab", buffering=0)
 
     def append(self, row: Mapping[str, float]):
         """Append one row, which must have exactly the columns; it is on its way to disk when this returns.
@@ -553,8 +572,11 @@ class History:
             wrong = ", ".join(sorted(set(row) ^ set(self.columns)))
             raise ValueError(f"{self.path}: these columns are missing or unknown: {wrong}")
         cells = (str(int(row[name])) if name == "step" else repr(float(row[name])) for name in self.columns)
-        self._file.write(",".join(cells) + "\n")
-        self._file.flush()
+        line = (",".join(cells) + "\n").encode("ascii")
+        with _named(self.path):
+            written = self._file.write(line)
+            if written < len(line):  # the disk took a part of it: why, it says when asked for more
+                self._file.write(line[written:])
 
     def close(self):
         """Close the file."""
@@ -615,8 +637,9 @@ def write_xdmf(path: str | Path, job: Job, times: Sequence[float]):
                 _xdmf_field(grid, name, layout, (_times(job), index), (ny, nx), job.space.dimensions)
     ET.indent(root)
     part = Path(path).with_name(Path(path).name + ".part")
-    ET.ElementTree(root).write(part, encoding="utf-8", xml_declaration=True)
-    part.replace(path)
+    with _named(path):
+        ET.ElementTree(root).write(part, encoding="utf-8", xml_declaration=True)
+        part.replace(path)
 
 
 def _xdmf_field(

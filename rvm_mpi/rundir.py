@@ -149,6 +149,39 @@ def prepare(path: Path, job: Job, restart: bool = False, overwrite: bool = False
     return aside
 
 
+class Log:
+    """`run.log`, for rank 0. Where it cannot be written that is said once, and the run goes on without it.
+
+    Parameters
+    ----------
+    path : Path
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        # without a buffer nothing stays behind in the process that closing would try again
+        self._file: Any = path.open("ab", buffering=0)
+
+    def write(self, text: str) -> None:
+        """Append a text."""
+        if self._file is None:
+            return
+        try:
+            self._file.write(text.encode())
+        except OSError as error:
+            self.close()
+            print(f"rvm: {self._path} cannot be written: {error.strerror}; going on", file=sys.stderr, flush=True)
+
+    def flush(self) -> None:
+        """Nothing is held back."""
+
+    def close(self) -> None:
+        """Close it; a second call does nothing."""
+        if self._file is not None:
+            self._file.close()
+            self._file = None
+
+
 def _free(path: Path, suffix: str = "") -> Path:
     """The first of NAME-1, NAME-2, ... that does not exist."""
     number = 1

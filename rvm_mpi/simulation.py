@@ -17,12 +17,12 @@ import time as clock
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any
 
 import numpy as np
 
 from rvm_mpi import checkpoint, postmortem, rundir
-from rvm_mpi.checkpoint import Checkpoint, DiskFailure
+from rvm_mpi.checkpoint import Checkpoint
 from rvm_mpi.control import Control
 from rvm_mpi.domain import Domain
 from rvm_mpi.estimates import stretched_time
@@ -30,6 +30,7 @@ from rvm_mpi.exact_sum import exact_sums
 from rvm_mpi.fluid import FluidSystem
 from rvm_mpi.fluid.euler import PositivityLost
 from rvm_mpi.job import Job, JobError
+from rvm_mpi.results import DiskFailure
 from rvm_mpi.states import macroscopic_state
 from rvm_mpi.stepping import KineticStepper, NumericalFailure, StepReport
 from rvm_mpi.watch import Watch
@@ -477,7 +478,13 @@ def run_job(
         print("compiling the kernels, once per installation: about a minute", file=sys.stderr, flush=True)
     with Control(output, walltime, job.output.checkpoint_every) as control:
         simulation, lines = _resumed(job, output) if restart else (Simulation(job), [])
-        with Run(simulation, output, restart, overwrite, quiet) as run:
+        try:
+            opened = Run(simulation, output, restart, overwrite, quiet)
+        except DiskFailure as error:  # on every rank
+            if simulation.domain.rank == 0:
+                print(f"rvm: {job.name}: {error}", file=sys.stderr, flush=True)
+            return 3
+        with opened as run:
             for line in lines:
                 run.say(line)
             return run.go(control)
@@ -507,7 +514,7 @@ class Run:
         self.output, self.comm = output, sim.domain.comm
         self.head = self.comm.rank == 0
         self.quiet = quiet
-        self.log: TextIO | None = None
+        self.log: rundir.Log | None = None
         self.history: History | None = None
         #: step of the last checkpoint
         self.saved: int | None = sim.number if restart else None
@@ -530,9 +537,8 @@ class Run:
         )
         #: times of the snapshots that exist, NaN for the others
         self._times = [t if restart and t <= sim.time else math.nan for t in job.output.times]
-        if self.head:
-            columns = sim.diagnostics.columns
-            self.history = History(output / "history.csv", columns, sim.number if restart else None)
+        columns, done = sim.diagnostics.columns, sim.number if restart else None
+        self.history = self._on_rank_0(lambda: History(output / "history.csv", columns, done))
         if restart:
             self.say(f"restart from step {sim.number}, t = {sim.time:.6g}")
 
@@ -555,30 +561,33 @@ class Run:
     def __enter__(self) -> Run:
         return self
 
-    def __exit__(self, *_: object) -> None:
-        self.fields.close()
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        if kind is None:  # else this rank may be alone with its error, and the others would not come to close it
+            self.fields.close()
         for file in (self.history, self.log):
             if file is not None:
                 file.close()
 
     def _on_rank_0(self, action: Callable[[], Any]) -> Any:
         """Do something on rank 0; if it cannot, every rank raises the same error."""
-        result, error = None, None
+        result: Any = None
+        error: JobError | DiskFailure | None = None
         if self.head:
             try:
                 result = action()
-            except (JobError, OSError) as caught:
+            except JobError as caught:
                 error = caught
+            except OSError as caught:
+                error = DiskFailure(str(caught))
         error = self.comm.bcast(error)
         if error is not None:
             raise error
         return result
 
     def _open_log(self, facts: dict[str, str], aside: Path | None) -> None:
-        self.log = (self.output / "run.log").open("a", encoding="utf-8")
+        self.log = rundir.Log(self.output / "run.log")
         for key, value in facts.items():
             self.log.write(f"{key}: {value}\n")
-        self.log.flush()
         if aside is not None:
             self.say(f"the run that was in {self.output} is now in {aside}")
 
@@ -588,7 +597,6 @@ class Run:
             return
         if self.log is not None:
             self.log.write(line + "\n")
-            self.log.flush()
         if not self.quiet:
             print(line, file=sys.stderr, flush=True)
 
@@ -732,12 +740,17 @@ class Run:
         if self.log is not None:
             size, seconds = path.stat().st_size / 1e6, clock.perf_counter() - begin
             self.log.write(f"checkpoint of step {sim.number}, t = {sim.time:.6g}: {size:.1f} MB in {seconds:.2f} s\n")
-            self.log.flush()
 
     def record(self) -> None:
-        """Append the present row to the history (rank 0)."""
+        """Append the present row to the history; DiskFailure on every rank if rank 0 cannot."""
+        failed = ""
         if self.history is not None:
-            self.history.append(self.simulation.diagnostics.row)
+            try:
+                self.history.append(self.simulation.diagnostics.row)
+            except OSError as error:
+                failed = str(error)
+        if self.simulation.domain.maximum(float(failed != ""))[0] > 0.0:
+            raise DiskFailure(self.comm.bcast(failed))
 
     def take_snapshot(self) -> None:
         """Write a snapshot if the present time is one of the job's."""
@@ -765,9 +778,6 @@ class Run:
         for name, values in sim.walls().items():
             first, count = (j0, ny) if "/x-" in name else (i0, nx)
             extra[name] = ((slice(first, first + count),), values)
-        try:
-            self.fields.write(index, sim.time, sim.snapshot(), extra)
-            self._times[index] = sim.time
-            self._on_rank_0(lambda: write_xdmf(self.output / "fields.xdmf", sim.job, self._times))
-        except OSError as error:  # on every rank
-            raise DiskFailure(str(error)) from error
+        self.fields.write(index, sim.time, sim.snapshot(), extra)
+        self._times[index] = sim.time
+        self._on_rank_0(lambda: write_xdmf(self.output / "fields.xdmf", sim.job, self._times))

@@ -10,8 +10,9 @@ import pytest
 from mpi4py import MPI
 
 from rvm_mpi import checkpoint, rundir
-from rvm_mpi.checkpoint import Checkpoint, DamagedCheckpoint, DiskFailure, use_newest
+from rvm_mpi.checkpoint import Checkpoint, DamagedCheckpoint, use_newest
 from rvm_mpi.job import Job, JobError
+from rvm_mpi.results import DiskFailure
 from rvm_mpi.simulation import Simulation, run_job
 
 

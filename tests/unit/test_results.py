@@ -6,6 +6,7 @@ import os
 import subprocess
 import sys
 import xml.etree.ElementTree as ET
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -384,6 +385,37 @@ def test_history_goes_on_after_a_restart(tmp_path):
     with pytest.raises(ValueError, match="other columns"):
         results.History(path, ("step", "time"), resume_after=2)
     assert results.read_history(tmp_path)["step"].tolist() == [0, 1, 2, 3]
+
+
+def test_a_history_cut_back_is_on_disk_before_it_takes_the_place_of_the_old_one(tmp_path, monkeypatch):
+    events = []
+    fsync, replace = os.fsync, Path.replace
+
+    def note_fsync(descriptor):
+        events.append((Path(f"/proc/self/fd/{descriptor}").readlink().name, os.fstat(descriptor).st_size))
+        fsync(descriptor)
+
+    def note_replace(self, target):
+        events.append((f"{self.name} to {target.name}", self.stat().st_size))
+        return replace(self, target)
+
+    history = results.History(tmp_path / "history.csv", COLUMNS)
+    history.append(dict.fromkeys(COLUMNS, 1.0))
+    history.close()
+    monkeypatch.setattr(os, "fsync", note_fsync)
+    monkeypatch.setattr(Path, "replace", note_replace)
+    results.History(tmp_path / "history.csv", COLUMNS, resume_after=0).close()
+    size = len(",".join(COLUMNS)) + 1
+    assert events == [("history.csv.part", size), ("history.csv.part to history.csv", size)]
+
+
+def test_a_row_that_cannot_be_written_names_the_file_and_is_not_tried_again(tmp_path):
+    history = results.History(tmp_path / "history.csv", COLUMNS)
+    history._file.close()
+    history._file = Path("/dev/full").open("ab", buffering=0)  # noqa: SIM115
+    with pytest.raises(OSError, match=r"history\.csv cannot be written: No space left on device"):
+        history.append(dict.fromkeys(COLUMNS, 1.0))
+    history.close()
 
 
 def test_a_new_history_starts_empty(tmp_path):
