@@ -591,13 +591,13 @@ class Run:
         if aside is not None:
             self.say(f"the run that was in {self.output} is now in {aside}")
 
-    def say(self, line: str) -> None:
-        """One line on rank 0's terminal and in `run.log`."""
+    def say(self, line: str, failure: bool = False) -> None:
+        """One line on rank 0's terminal and in `run.log`; `--quiet` does not keep a failure from the terminal."""
         if not self.head:
             return
         if self.log is not None:
             self.log.write(line + "\n")
-        if not self.quiet:
+        if failure or not self.quiet:
             print(line, file=sys.stderr, flush=True)
 
     def _wall_layout(self) -> dict[str, Any]:
@@ -663,10 +663,10 @@ class Run:
                 if self.saved != sim.number:
                     self.save()
         except NumericalFailure as error:
-            self.say(f"rvm: {sim.job.name}: {error}{self._last_healthy()}{self.examine(error)}")
+            self.say(f"rvm: {sim.job.name}: {error}{self._last_healthy()}{self.examine(error)}", failure=True)
             return 3
         except DiskFailure as error:
-            self.say(f"rvm: {sim.job.name}: {error}{self._last_checkpoint()}")
+            self.say(f"rvm: {sim.job.name}: {error}{self._last_checkpoint()}", failure=True)
             return 3
         if progress is not None:
             progress.close()
@@ -723,7 +723,8 @@ class Run:
         self.say(
             f"rvm: {sim.job.name}: stopped after step {sim.number} at t = {sim.time:.6g}: "
             f"{self.watch.reason_to_stop(sim.diagnostics.row)}{self._last_checkpoint()} with another watch.box_stop; "
-            "a wider velocity.half_width needs a new run"
+            "a wider velocity.half_width needs a new run",
+            failure=True,
         )
         return 3
 

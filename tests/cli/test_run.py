@@ -183,6 +183,7 @@ def test_a_gas_too_cold_for_its_grid_fails_in_one_line(tmp_path, capsys):
     captured = capsys.readouterr()
     lines = (run / "run.log").read_text().splitlines()
     assert lines[-1].startswith("rvm: cooling: ")
+    assert captured.err == lines[-1] + "\n"  # --quiet does not hide a failure
     assert "T_g is below what its spacing resolves in cell (0, 0); step" in lines[-1]
     assert captured.out == ""
     history = read_history(run)
