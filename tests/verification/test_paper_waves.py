@@ -35,10 +35,10 @@ def test_the_linear_theory_damps_as_the_paper(linear):
 
 
 def test_damping_rate_and_energy_of_a_reduced_run(linear):
-    """The paper's 25 cells, 256 velocities, to the second maximum."""
+    """Twice the paper's 25 cells, 256 velocities, to the second maximum; the paper's rate is 5 % above the theory's."""
     job = Job.from_file(
         ROOT / "jobs" / "test2_specular.toml",
-        ["velocity.points=[256]", "time.end=8.0", "output.times=[8.0]"],
+        ["space.cells=[50]", "velocity.points=[256]", "time.end=8.0", "output.times=[8.0]"],
     )
     simulation = Simulation(job)
     rows = [dict(simulation.diagnostics.row) for _ in simulation]
@@ -48,7 +48,8 @@ def test_damping_rate_and_energy_of_a_reduced_run(linear):
     rate, period, place, _ = damping(time, deviation)
     expected, its_period, its_place, _ = damping(linear[0], linear[2])
     print(f"{len(rows)} steps, maxima at {place} ({its_place}), rate {rate:.3f} ({expected:.3f}), period {period:.3f}")
-    assert rate == pytest.approx(PAPER[E], rel=0.05)
-    assert rate == pytest.approx(expected, rel=0.03)
+    assert rate == pytest.approx(PAPER[E], rel=0.06)
+    assert rate == pytest.approx(expected, rel=0.01)
     assert period == pytest.approx(its_period, rel=0.01)
+    assert place == pytest.approx(its_place, rel=2e-3)
     assert temperature == pytest.approx(np.interp(time, linear[0], linear[1]), rel=0.02)
