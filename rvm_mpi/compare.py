@@ -151,7 +151,7 @@ def compare(a: Quantity, b: Quantity, size: float, tolerance: float | None = Non
             worst, largest = _shifted(place, part), float(distance[place])
     if first is None:
         return None
-    with np.errstate(divide="ignore", invalid="ignore"):
+    with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
         relative = float(np.divide(largest, size)) if largest > 0.0 else 0.0
     return Found(first, values, largest, relative, worst)
 

@@ -463,40 +463,9 @@ def sweep(  # type: ignore[no-untyped-def]
             z = depth[j, i] if second or model.source else 0.0
             weight_old, weight_new = (0.5, 0.5 * (1.0 + z)) if second else (0.0, 1.0)
             if grid.stencil.shape[1] == 0:
-                drift.update(
-                    g,
-                    cell,
-                    points,
-                    slab_size,
-                    grid.x,
-                    grid.x_face,
-                    grid.slab,
-                    rates,
-                    out,
-                    weight_old,
-                    weight_new,
-                    dt,
-                    work.scratch,
-                    result,
-                )
+                drift.update(g, cell, grid, rates, out, weight_old, weight_new, dt, work.scratch, result)
             else:
-                drift.update_linear(
-                    g,
-                    cell,
-                    points,
-                    slab_size,
-                    grid.x,
-                    grid.x_face,
-                    grid.slab,
-                    rates,
-                    out,
-                    weight_old,
-                    weight_new,
-                    dt,
-                    grid.stencil,
-                    work.scratch,
-                    result,
-                )
+                drift.update_linear(g, cell, grid, rates, out, weight_old, weight_new, dt, work.scratch, result)
             if model.source:
                 at = (j * nx + i) * block
                 for n in range(0, block, 8):

@@ -52,28 +52,14 @@ def stencil(order: int) -> np.ndarray:
 
 
 @njit(**KERNEL)
-def update(  # type: ignore[no-untyped-def]
-    g,
-    cell,
-    points,
-    slab_size,
-    x,
-    x_face,
-    slab,
-    rates,
-    old,
-    weight_old,
-    weight_new,
-    dt,
-    scratch,
-    result,
-):
+def update(g, cell, grid, rates, old, weight_old, weight_new, dt, scratch, result):  # type: ignore[no-untyped-def]
     """result = weight_old * old + weight_new * (g + dt * (result + drift)) for the block of one cell.
 
     Parameters
     ----------
     g : (n,) array
         Blocks; this cell's begins at `cell`, which is also its offset in `old`.
+    grid : stage.Grid
     rates : (11,) array
         A, d_x omega for velocities that go up and down, d_y omega likewise, beta u_x, beta u_y, beta u_z, then 1/h of
         the three velocity directions.
@@ -82,7 +68,8 @@ def update(  # type: ignore[no-untyped-def]
     result : (block,) array
         The rate of change by transport (`transport.py`); receives the new block.
     """
-    points_x, points_y, points_z = points
+    points_x, points_y, points_z = grid.points
+    slab_size, x, x_face, slab = grid.slab_size, grid.x, grid.x_face, grid.slab
     guard = _guard(points_z)
     row = slab_size + 2 * guard
     slope_x, slope_y, slope_z = guard, row + guard, 2 * row + guard
@@ -160,33 +147,10 @@ def update(  # type: ignore[no-untyped-def]
 
 
 @njit(**KERNEL)
-def update_linear(  # type: ignore[no-untyped-def]
-    g,
-    cell,
-    points,
-    slab_size,
-    x,
-    x_face,
-    slab,
-    rates,
-    old,
-    weight_old,
-    weight_new,
-    dt,
-    coefficients,
-    scratch,
-    result,
-):
-    """`update` with a linear reconstruction in place of Van Leer's.
-
-    Parameters
-    ----------
-    coefficients : (2, taps) array
-        `stencil` of the order wanted.
-
-    The others are those of `update`.
-    """
-    points_x, points_y, points_z = points
+def update_linear(g, cell, grid, rates, old, weight_old, weight_new, dt, scratch, result):  # type: ignore[no-untyped-def]
+    """`update` with the linear reconstruction of `grid.stencil` in place of Van Leer's limiter."""
+    points_x, points_y, points_z = grid.points
+    slab_size, x, x_face, slab, coefficients = grid.slab_size, grid.x, grid.x_face, grid.slab, grid.stencil
     taps = coefficients.shape[1]
     below = taps // 2 - 1
     guard = _guard(points_z)

@@ -24,11 +24,8 @@ def run(grid, g, before, rate, rates, weights, dt, rng, name="van-leer", work=No
     result = pack(grid, rate)
     work = work or Work.create(kernel, 1)
     numbers = np.array([*rates, *kernel.per_spacing])
-    update, more = (drift.update, ()) if name == "van-leer" else (drift.update_linear, (kernel.stencil,))
-    update(
-        flat, at + grid.block, grid.points, grid.slab_size, kernel.x, kernel.x_face, kernel.slab, numbers, old,
-        *weights, dt, *more, work.scratch, result,
-    )  # fmt: skip
+    update = drift.update if name == "van-leer" else drift.update_linear
+    update(flat, at + grid.block, kernel, numbers, old, *weights, dt, work.scratch, result)
     return grid.unpack(result)
 
 
