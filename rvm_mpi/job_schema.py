@@ -289,10 +289,10 @@ class Watch(Section):
     """What a run says, or ends for, when it happens (`rvm_mpi/watch.py`)."""
 
     box_warning: Share = Field(
-        default=1e-3, description="a number > 0, at most 1: share of a cell's mass or energy; 1 is never passed"
+        default=1e-3, description="a number > 0, at most 1: share of a cell's mass or energy; 1: never"
     )
     box_stop: Share = Field(
-        default=1.0, description="a number > 0, at most 1: share of a cell's mass or energy; 1 is never passed"
+        default=1.0, description="a number > 0, at most 1: share of a cell's mass or energy; 1: never"
     )
     balance: Positive = Field(default=1e-10, description="a number > 0, relative")
 

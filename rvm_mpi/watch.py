@@ -34,10 +34,11 @@ class Watch:
 
     def __init__(self, job: Job) -> None:
         watch = job.watch
-        self._stop = watch.box_stop
+        # one is no threshold: where g is negative in places the outermost velocities can hold more than all
+        warning, self._stop = (x if x < 1.0 else math.inf for x in (watch.box_warning, watch.box_stop))
         #: size above which a quantity is spoken of next
         self._next = dict.fromkeys(promised(job), watch.balance)
-        self._next.update({"box_mass": watch.box_warning, "box_energy": watch.box_warning})
+        self._next.update({"box_mass": warning, "box_energy": warning})
 
     def warnings(self, row: Mapping[str, float]) -> list[str]:
         """Lines on what has passed its threshold with this row, or grown by ten since it was spoken of."""

@@ -298,7 +298,7 @@ REFUSED = [
     ({"scaling__synchronise": True}, "scaling.synchronise: wrong type", ""),
     ({"scaling__synchronise": -1}, "scaling.synchronise: out of range", ""),
     ({"scaling__synchronise": 10**400}, "scaling.synchronise: out of range", ""),
-    ({"watch__box_warning": 1.5}, "watch.box_warning: out of range", "1 is never passed"),
+    ({"watch__box_warning": 1.5}, "watch.box_warning: out of range", "1: never"),
     ({"watch__box_stop": 0}, "watch.box_stop: out of range", ""),
     ({"watch__balance": 0}, "watch.balance: out of range", "a number > 0"),
     ({"scaling__kind": "macroscopic", "fluid__enabled": False}, "fluid.enabled", ""),

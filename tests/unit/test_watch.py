@@ -135,3 +135,12 @@ def test_a_job_is_checked_with_what_it_will_watch(tmp_path, capsys):
     lines = [line for line in capsys.readouterr().out.splitlines() if "warning" in line]
     assert lines[0].endswith("outermost velocities: a warning above 0.001 of a cell's gas, a stop above 0.05")
     assert lines[1].endswith("mass, momentum, energy: a warning above 1e-10, relative")
+
+
+def test_a_threshold_of_one_is_never_passed():
+    """A g that is negative in places can hold more than all of a cell's energy in the outermost velocities."""
+    row = dict.fromkeys(("mass_error", "momentum_error", "energy_error", "box_mass"), 0.0)
+    row.update(box_energy=1.3, step=1, time=0.5)
+    never = watch.Watch(make_job(watch={"box_warning": 1.0, "box_stop": 1.0}))
+    assert never.reason_to_stop(row) == "" and never.warnings(row) == []
+    assert watch.Watch(make_job(watch={"box_stop": 0.99})).reason_to_stop(row)
