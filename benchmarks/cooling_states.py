@@ -55,7 +55,7 @@ def main() -> None:
         print("whole runs over four decades: d, points, V, drift, e, a_2, T over Haff's with the rate of order 8,")
         print("departure of log T from the law over the second half of the steps, steps")
         cases = [(2, points, half_width, drift) for points, half_width in ((32, 9.0), (48, 10.0)) for drift in DRIFTS]
-        for d, points, half_width, drift in cases + [(3, 32, 9.5, "seventh-order")] * given.large:
+        for d, points, half_width, drift in cases + [(3, 24, 8.5, "seventh-order")] * given.large:
             for e in RESTITUTIONS:
                 factor = cooling_state(d, e, 8)[1]
                 a, ratio, bend, steps = cool(d, e, points, half_width, drift, factor)
