@@ -90,10 +90,12 @@ def worst_balances(job: Any) -> tuple[int, float, float, float, float, str]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--steps", type=int, default=10_000)
+    parser.add_argument("--operator", nargs="+", choices=OPERATORS, default=OPERATORS, help="lines of these alone")
     given = parser.parse_args()
     print("| dimensions | operator | scaling | wall | steps | mass | momentum | energy | correction | |")
     print("| --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |")
-    for o, operator in enumerate(OPERATORS):
+    for operator in given.operator:
+        o = OPERATORS.index(operator)
         for s, scaling in enumerate(SCALINGS):
             dimensions, wall = list(DIMENSIONS)[(2 * o + s) % 5], WALLS[(o + s) % 5]
             job = make_job(dimensions, operator, scaling, wall, given.steps)
