@@ -31,6 +31,8 @@ def assert_ends(place, directory, faults, words, *options, ranks=2):
     arguments = [place / "job.toml", "--output", directory, *options]
     status, lines = run(ranks, faults, *arguments, log=place / "log")
     assert status == 3, (place / "log").read_text()
+    # a limit on the size of files may reach the log as well, which is said and does not end the run
+    lines = [line for line in lines if not line.endswith("run.log cannot be written: File too large; going on")]
     assert len(lines) == 1, (place / "log").read_text()
     for word in words:
         assert word in lines[0]
@@ -55,8 +57,16 @@ LIMITS = {
 QUICK = ("device", "checkpoint")
 
 
+#: HDF5 keeps the header that it could not write and fails again each time the file is closed, in the end with SIGSEGV
+CRASHES = pytest.mark.xfail(reason="HDF5 1.10 does not survive a header that cannot be written", strict=True)
+
+
 @pytest.mark.parametrize(
-    "case", [name if name in QUICK else pytest.param(name, marks=pytest.mark.long) for name in LIMITS]
+    "case",
+    [
+        name if name in QUICK else pytest.param(name, marks=[pytest.mark.long] + [CRASHES] * ("header" in name))
+        for name in LIMITS
+    ],
 )
 def test_a_file_that_cannot_grow(place, whole, case, tally):
     fault, words = LIMITS[case]

@@ -13,8 +13,8 @@ from rvm_mpi import rundir
 pytestmark = pytest.mark.timeout(900)
 
 #: places in a checkpoint's write that a rank can be killed at, with the number of times they have been passed in the
-#: third checkpoint (each passes `flush` on all ranks twice before and once within the write, `rename` on rank 0)
-IN_A_CHECKPOINT = ["create:0:3", "blocks:1:3", "sums:0:7", "flush:0:9", "flush:1:6", "checkpoint:1:3"]
+#: third checkpoint (`flush`: rank 1 once before the write and once in it; rank 0 twice before, twice in it, once after)
+IN_A_CHECKPOINT = ["create:0:3", "blocks:1:3", "sums:0:7", "flush:0:14", "flush:1:6", "checkpoint:1:3"]
 QUICK = "sums:0:7"
 #: places where a checkpoint takes its time: most of a run is then within a write
 SLOW = ["0.1:create:0:each", "0.1:sums:all:each", "0.1:flush:all:each"]
