@@ -30,7 +30,7 @@ import numpy as np
 from rvm_mpi import __version__, rundir
 from rvm_mpi.job import Job, JobError
 from rvm_mpi.job_text import parse_toml
-from rvm_mpi.results import DiskFailure, _import_h5py, _open
+from rvm_mpi.results import DiskFailure, _import_h5py, _open, check_room
 
 if TYPE_CHECKING:
     from rvm_mpi.domain import Domain
@@ -203,6 +203,7 @@ def _create(part: Path, state: State, domain: Domain, job: Job) -> None:
     free = os.statvfs(part.parent)
     if free.f_bavail * free.f_frsize < size + 2**20:
         raise OSError(errno.ENOSPC, f"{os.strerror(errno.ENOSPC)}: it needs {size / 1e6:.0f} MB")
+    check_room(part, len(text))  # the header's; that for the data is not asked for: some file systems would write it
     # this format has checksums of its own for what HDF5 writes about the data
     with h5py.File(part, "w", libver=("v108", "v108")) as file:
         file["header"] = np.frombuffer(text, dtype=np.uint8)

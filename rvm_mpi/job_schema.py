@@ -203,7 +203,7 @@ class Collision(Section):
     )
     method: Literal["direct", "fast"] | None = Field(default=None, description='"direct" | "fast"')
 
-    penalise: bool | None = Field(
+    penalise: Switch | None = Field(
         default=None, description="true or false; true: steps not limited by the Knudsen number"
     )
 

@@ -351,7 +351,7 @@ def _create(
     datasets = {"time": Layout((), (), "time; NaN: not yet there", "reference length / speed"), **layout}
     numbers = times * sum(int(np.prod(entry.shape, dtype=int)) for entry in datasets.values())
     try:
-        _check_room(part, 8 * (numbers + sum(map(np.size, coordinates.values()))))
+        check_room(part, 8 * (numbers + sum(map(np.size, coordinates.values()))))
         with _open(part, "w") as file:
             for name, value in root.items():
                 file.attrs[name] = value
@@ -381,7 +381,7 @@ def _describe(dataset: Any, axes: tuple[str, ...], long_name: str, units: str):
     dataset.attrs["units"] = units
 
 
-def _check_room(path: Path, size: int):
+def check_room(path: Path, size: int):
     """Raise OSError unless the disk has room for a file of this size: HDF5 itself crashes if it has not."""
     with path.open("wb") as file:
         os.posix_fallocate(file.fileno(), 0, size + 2**20)

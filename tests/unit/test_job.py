@@ -304,6 +304,7 @@ REFUSED = [
     ({"scaling__kind": "macroscopic", "fluid__enabled": False}, "fluid.enabled", ""),
     ({"scheme__conservative": False}, "scheme.conservative: the kinetic scaling is unstable", ""),
     ({"scheme__conservative": 1}, "scheme.conservative: wrong type", "value 1"),
+    ({"collision__penalise": 0}, "collision.penalise: wrong type", "value 0"),
     ({"scheme__drift": "vanleer"}, "scheme.drift: unknown value", 'did you mean "van-leer"?'),
     ({"time__end": 0}, "time.end: out of range", ""),
     ({"time__end": None}, "time.end: must be given", ""),
