@@ -21,22 +21,4 @@ set -euo pipefail
 cd "${SLURM_SUBMIT_DIR:?submit this script with sbatch}"
 # module load openmpi petsc hdf5        # as on your cluster: docs/install.md
 
-name=${1:-test4_clustering_kinetic}
-how=(--overwrite) # what is there without a checkpoint is moved aside
-if compgen -G "runs/$name/checkpoint-*.h5" >/dev/null; then
-    how=(--restart)
-fi
-
-jobs/mpirun.sh -n "$SLURM_NTASKS" --bind-to core \
-    .venv/bin/rvm run "jobs/$name.toml" --output "runs/$name" "${how[@]}" &
-trap 'interrupted=yes; kill -USR1 "$!"' USR1
-while # the signal ends the wait, not the run
-    interrupted='' status=0
-    wait "$!" || status=$?
-    [ -n "$interrupted" ]
-do :; done
-
-if [ "$status" = 75 ]; then
-    scontrol requeue "$SLURM_JOB_ID"
-fi
-exit "$status"
+exec jobs/slurm_run.sh "${1:-test4_clustering_kinetic}"

@@ -75,7 +75,8 @@ def refuse(error: JobError) -> int:
 
 def interrupted() -> int:
     """End after Ctrl-C outside a run, which would take it as a wish to stop: one line; returns exit status 130."""
-    _say("rvm: interrupted")
+    if launched_rank() == 0:
+        _say("rvm: interrupted")
     communicator = _communicator()
     if communicator is not None:
         communicator.Abort(INTERRUPTED)

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from rvm_mpi.collisions.es_bgk import FAILED, REPLACED, TOO_COLD, discrete_gaussian
+from rvm_mpi.collisions.es_bgk import FAILED, REPLACED, TOO_COLD, discrete_gaussian, discrete_maxwellian
 from rvm_mpi.kinetic import drift
 from rvm_mpi.kinetic.conservation import SUMS, add_correction, correct, weighted_sums
 from rvm_mpi.kinetic.transport import upper_fluxes
@@ -586,20 +586,7 @@ def sweep(  # type: ignore[no-untyped-def]
                     centre,
                     tensor,
                 )
-                answer = discrete_gaussian(
-                    density_blend,
-                    centre,
-                    tensor,
-                    d,
-                    points,
-                    slab_size,
-                    grid.x,
-                    grid.slab,
-                    grid.nodes,
-                    work.fit,
-                    work.gaussian,
-                    fitted,
-                )
+                answer = discrete_gaussian(density_blend, centre, tensor, grid, work.fit, work.gaussian, fitted)
                 # its mass to round-off, not only to Newton's tolerance
                 share *= density_blend / fitted[0] if answer <= REPLACED else 0.0
                 if answer == REPLACED:
@@ -617,24 +604,10 @@ def sweep(  # type: ignore[no-untyped-def]
                         sums[q] += fitted[q] * share
                     share = 0.0
                 if model.conservative:
-                    tensor[:] = 0.0
                     for q in range(3):
                         centre[q] = wanted[1 + q] / wanted[0]
-                        if q < d:
-                            tensor[(0, 3, 5)[q]] = temperature_new
-                    answer = discrete_gaussian(
-                        wanted[0],
-                        centre,
-                        tensor,
-                        d,
-                        points,
-                        slab_size,
-                        grid.x,
-                        grid.slab,
-                        grid.nodes,
-                        work.fit,
-                        work.gaussian,
-                        fitted,
+                    answer = discrete_maxwellian(
+                        wanted[0], centre, temperature_new, grid, work.fit, tensor, work.gaussian, fitted
                     )
                     for q in range(5):
                         target[q] = whole * wanted[q]

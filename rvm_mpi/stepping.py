@@ -18,7 +18,7 @@ from numba import njit
 
 from rvm_mpi import stage
 from rvm_mpi.collisions.boltzmann import BoltzmannOperator
-from rvm_mpi.collisions.es_bgk import EXACT, REPLACED, discrete_gaussian
+from rvm_mpi.collisions.es_bgk import EXACT, REPLACED, discrete_gaussian, discrete_maxwellian
 from rvm_mpi.collisions.weight_store import shared_weights
 from rvm_mpi.estimates import collision_frequency, explicit_rate, fastest_rate
 from rvm_mpi.job import JobError
@@ -119,20 +119,7 @@ def _fill_gaussians(g, space, grid, density, mean, tensors, work, block, status)
     row = (space.nx + 2 * space.wx) * grid.block
     for j in range(space.ny):
         for i in range(space.nx):
-            status[j, i] = discrete_gaussian(
-                density[j, i],
-                mean[j, i],
-                tensors[j, i],
-                grid.dimensions,
-                grid.points,
-                grid.slab_size,
-                grid.x,
-                grid.slab,
-                grid.nodes,
-                work,
-                block,
-                moments,
-            )
+            status[j, i] = discrete_gaussian(density[j, i], mean[j, i], tensors[j, i], grid, work, block, moments)
             cell = (j + space.wy) * row + (i + space.wx) * grid.block
             scale = density[j, i] / moments[0]
             for n in range(grid.block):
@@ -151,25 +138,9 @@ def _penalise(g, space, grid, sums, rate, work, block, source):  # type: ignore[
             for q in range(3):
                 mean[q] = s[1 + q] / s[0]
                 speed2 += mean[q] ** 2
-            tensor[:] = 0.0
             temperature = ((s[4] + s[7] + s[9]) / s[0] - speed2) / grid.dimensions
-            for q in range(grid.dimensions):
-                tensor[0 if q == 0 else (3 if q == 1 else 5)] = temperature
+            status = discrete_maxwellian(s[0], mean, temperature, grid, work, tensor, block, moments)
             cell = (j + space.wy) * row + (i + space.wx) * grid.block
-            status = discrete_gaussian(
-                s[0],
-                mean,
-                tensor,
-                grid.dimensions,
-                grid.points,
-                grid.slab_size,
-                grid.x,
-                grid.slab,
-                grid.nodes,
-                work,
-                block,
-                moments,
-            )
             scale = s[0] / moments[0] if status <= REPLACED else math.nan
             for n in range(grid.block):
                 source[j, i, n] -= rate[j, i] * (scale * block[n] - g[cell + n])
@@ -420,13 +391,14 @@ class KineticStepper:
             for name in SIDES
             if self.domain.on_side(name)
         }
+        box_mass, box_energy = self.box_shares()
         return StepReport(
             smallest=float(last[..., stage.SMALLEST].min()),
             largest=float(last[..., stage.LARGEST].max()),
             mismatch=float(max(first[..., stage.MISMATCH].max(), last[..., stage.MISMATCH].max())),
             replaced=int((first[..., stage.GAUSSIANS_REPLACED] + last[..., stage.GAUSSIANS_REPLACED]).sum()),
-            box_mass=self.box_shares()[0],
-            box_energy=self.box_shares()[1],
+            box_mass=box_mass,
+            box_energy=box_energy,
             dissipated=first[..., stage.DISSIPATED] + last[..., stage.DISSIPATED],
             entered=entered,
         )

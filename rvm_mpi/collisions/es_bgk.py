@@ -307,7 +307,7 @@ def invert_tensor(t, dimensions, inverse):  # type: ignore[no-untyped-def]
 
 
 @njit(**KERNEL)
-def discrete_gaussian(density, mean, tensor, dimensions, points, slab_size, x, slab, nodes, work, block, moments):  # type: ignore[no-untyped-def]
+def discrete_gaussian(density, mean, tensor, grid, work, block, moments):  # type: ignore[no-untyped-def]
     """The positive grid function exp(quadratic) with the given sums, mean and temperature tensor.
 
     Parameters
@@ -318,8 +318,7 @@ def discrete_gaussian(density, mean, tensor, dimensions, points, slab_size, x, s
         Mean of xi.
     tensor : (6,) array
         Covariance xx, xy, xz, yy, yz, zz; replaced by the nearest one that the grid can hold where it must be.
-    nodes : (3, longest axis) array
-        Nodes of each axis.
+    grid : stage.Grid
     work : tuple of arrays
         theta (10,), sums (75,), plane (600,), matrix (10, 10), vectors (5, 10).
     block : (points_x * slab_size,) array
@@ -332,6 +331,8 @@ def discrete_gaussian(density, mean, tensor, dimensions, points, slab_size, x, s
     int
         EXACT, REPLACED, TOO_COLD or FAILED.
     """
+    dimensions, points, slab_size = grid.dimensions, grid.points, grid.slab_size
+    x, slab, nodes = grid.x, grid.slab, grid.nodes
     theta, sums, plane, matrix, vectors = work
     step, wanted, scale, fit, inverse = vectors[0], vectors[1], vectors[2], vectors[3], vectors[4]
     status = realisable_tensor(density, mean, tensor, dimensions, points, nodes)
@@ -395,3 +396,12 @@ def discrete_gaussian(density, mean, tensor, dimensions, points, slab_size, x, s
         for i in range(10):
             theta[i] += shorter * step[i]
     return FAILED
+
+
+@njit(**KERNEL)
+def discrete_maxwellian(density, mean, temperature, grid, work, tensor, block, moments):  # type: ignore[no-untyped-def]
+    """`discrete_gaussian` of one temperature; `tensor` (6,) receives the covariance that it has."""
+    tensor[:] = 0.0
+    for q in range(grid.dimensions):
+        tensor[(0, 3, 5)[q]] = temperature
+    return discrete_gaussian(density, mean, tensor, grid, work, block, moments)

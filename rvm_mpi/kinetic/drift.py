@@ -52,6 +52,19 @@ def stencil(order: int) -> np.ndarray:
 
 
 @njit(**KERNEL)
+def turning_rates(rates):  # type: ignore[no-untyped-def]
+    """A and d_x omega, for velocities that go up and down, and d_y omega likewise, for whole vectors."""
+    return rates[0], rates[1], rates[2], splat(rates[3]), splat(rates[4])
+
+
+@njit(**KERNEL)
+def pushes(rates):  # type: ignore[no-untyped-def]
+    """1/h of the three velocity directions, and beta u/h."""
+    per_x, per_y, per_z = rates[8], rates[9], rates[10]
+    return per_x, per_y, per_z, rates[5] * per_x, rates[6] * per_y, rates[7] * per_z
+
+
+@njit(**KERNEL)
 def update(g, cell, grid, rates, old, weight_old, weight_new, dt, scratch, result):  # type: ignore[no-untyped-def]
     """result = weight_old * old + weight_new * (g + dt * (result + drift)) for the block of one cell.
 
@@ -74,9 +87,8 @@ def update(g, cell, grid, rates, old, weight_old, weight_new, dt, scratch, resul
     row = slab_size + 2 * guard
     slope_x, slope_y, slope_z = guard, row + guard, 2 * row + guard
     through_x, through_y, slope_next = 3 * row + guard, 4 * row + guard, 5 * row + guard
-    a, rising_x, falling_x, rising_y, falling_y = rates[0], rates[1], rates[2], splat(rates[3]), splat(rates[4])
-    per_x, per_y, per_z = rates[8], rates[9], rates[10]
-    push_x, push_y, push_z = rates[5] * per_x, rates[6] * per_y, rates[7] * per_z
+    a, rising_x, falling_x, rising_y, falling_y = turning_rates(rates)
+    per_x, per_y, per_z, push_x, push_y, push_z = pushes(rates)
     zero = splat(0.0)
     for n in range(0, slab_size, 8):
         store(scratch, slope_x + n, zero)
@@ -158,9 +170,8 @@ def update_linear(g, cell, grid, rates, old, weight_old, weight_new, dt, scratch
     own, in_y, in_z = guard, row + guard, 2 * row + guard
     through_x, through_y = 3 * row + guard, 4 * row + guard
     at_x = SCRATCH_ROWS * row
-    a, rising_x, falling_x, rising_y, falling_y = rates[0], rates[1], rates[2], splat(rates[3]), splat(rates[4])
-    per_x, per_y, per_z = rates[8], rates[9], rates[10]
-    push_x, push_y, push_z = rates[5] * per_x, rates[6] * per_y, rates[7] * per_z
+    a, rising_x, falling_x, rising_y, falling_y = turning_rates(rates)
+    per_x, per_y, per_z, push_x, push_y, push_z = pushes(rates)
     zero = splat(0.0)
     for n in range(0, slab_size, 8):
         store(scratch, through_x + n, zero)
@@ -188,8 +199,10 @@ def update_linear(g, cell, grid, rates, old, weight_old, weight_new, dt, scratch
             y, z = load(slab, Y * slab_size + n), load(slab, Z * slab_size + n)
             s = splat(-along) - y * where_positive(y, rising_y, falling_y)
             store(scratch, own + n, c)
-            store(scratch, in_y + n, (y * s * per_y + splat(push_y)) * c)
-            store(scratch, in_z + n, (z * s * per_z + splat(push_z)) * c)
+            if has_y:
+                store(scratch, in_y + n, (y * s * per_y + splat(push_y)) * c)
+            if has_z:
+                store(scratch, in_z + n, (z * s * per_z + splat(push_z)) * c)
         before_z = zero
         for n in range(0, slab_size, 8):
             y = load(slab, Y * slab_size + n)

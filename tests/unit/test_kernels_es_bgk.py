@@ -57,10 +57,8 @@ def run_gaussian(grid, density, mean, tensor):
     work = Work.create(kernel, 1)
     six, moments = packed(tensor), np.zeros(10)
     work.gaussian[:] = 7.0
-    status = es_bgk.discrete_gaussian(
-        density, np.asarray(mean, dtype=float), six, grid.dimensions, grid.points, grid.slab_size, kernel.x,
-        kernel.slab, kernel.nodes, work.fit, work.gaussian, moments,
-    )  # fmt: skip
+    mean = np.asarray(mean, dtype=float)
+    status = es_bgk.discrete_gaussian(density, mean, six, kernel, work.fit, work.gaussian, moments)
     return status, grid.unpack(work.gaussian), six, moments
 
 
