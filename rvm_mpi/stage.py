@@ -12,13 +12,13 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from rvm_mpi.collisions.es_bgk import FAILED, REPLACED, TOO_COLD, discrete_gaussian, discrete_maxwellian
+from rvm_mpi.kernels import kernel, part
 from rvm_mpi.kinetic import drift
 from rvm_mpi.kinetic.conservation import SUMS, add_correction, correct, weighted_sums
 from rvm_mpi.kinetic.transport import upper_fluxes
-from rvm_mpi.simd import KERNEL, load, maximum, minimum, splat, store, total
+from rvm_mpi.simd import load, maximum, minimum, splat, store, total
 from rvm_mpi.velocity import EDGE, SPEED2, VALID, VelocityGrid, Y
 
 #: columns of the diagnostics a stage leaves of each cell
@@ -151,20 +151,20 @@ class Work(NamedTuple):
         )
 
 
-@njit(**KERNEL)
+@part
 def cooled(thermal, density, d, cooling, dt):  # type: ignore[no-untyped-def]
     """Thermal energy d rho T/2 after dt of dT/dt = -2 cooling rho T^(3/2), exactly (Haff), forwards or backwards."""
     root = math.sqrt(2.0 * thermal / (d * density))
     return thermal / (1.0 + cooling * density * root * dt) ** 2
 
 
-@njit(**KERNEL)
+@part
 def relaxation_rate(model, density, temperature):  # type: ignore[no-untyped-def]
     """tau(rho, T)/eps of f."""
     return model.relaxation * density**model.density_power * temperature**model.temperature_power
 
 
-@njit(**KERNEL)
+@part
 def through(moments, weight, flux):  # type: ignore[no-untyped-def]
     """Rates of mass, momentum and energy of f through a face, from the moments of its flux (`transport.py`)."""
     for q in range(4):
@@ -172,7 +172,7 @@ def through(moments, weight, flux):  # type: ignore[no-untyped-def]
     flux[4] = 0.5 * weight * moments[4]
 
 
-@njit(**KERNEL)
+@part
 def face_omega(upwind, omega, j, i, down, right):  # type: ignore[no-untyped-def]
     """omega at the upper face of cell (j, i) along (down, right), as this cell and as the next one see it.
 
@@ -188,13 +188,13 @@ def face_omega(upwind, omega, j, i, down, right):  # type: ignore[no-untyped-def
     return b + limited(b - a, c - b), c - limited(c - b, e - c)
 
 
-@njit(**KERNEL)
+@part
 def limited(a, b):  # type: ignore[no-untyped-def]
     """Half of Van Leer's slope."""
     return a * b / (a + b) if a * b > 0.0 else 0.0
 
 
-@njit(**KERNEL)
+@part
 def blend(nu, d, first, sums, wanted, temperature, weight_first, weight_last, whole, centre, tensor):  # type: ignore[no-untyped-def]
     """Mean and temperature tensor of weight_first G[g^n] + weight_last G[result], as one Gaussian; returns its sum.
 
@@ -236,7 +236,7 @@ def blend(nu, d, first, sums, wanted, temperature, weight_first, weight_last, wh
     return density
 
 
-@njit(**KERNEL)
+@part
 def mix(block, factor_x, factor_slab, own, gaussian, share, points_x, slab_size, x, slab, out, at, watched, extremes):  # type: ignore[no-untyped-def]
     """out = own * block * factor + share * gaussian.
 
@@ -273,7 +273,7 @@ def mix(block, factor_x, factor_slab, own, gaussian, share, points_x, slab_size,
     extremes[2], extremes[3] = total(edge_mass), total(edge_energy)
 
 
-@njit(**KERNEL)
+@kernel
 def sweep(  # type: ignore[no-untyped-def]
     grid,
     space,
@@ -381,10 +381,12 @@ def sweep(  # type: ignore[no-untyped-def]
                 north_moments,
             )
             if j < 0:
-                south_moments[i, :] = north_moments[:5]
+                for q in range(5):
+                    south_moments[i, q] = north_moments[q]
                 continue
             if i < 0:
-                west_moments[:5] = east_moments[:5]
+                for q in range(5):
+                    west_moments[q] = east_moments[q]
                 continue
             if across_x:
                 omega_w = face_omega(model.conservative, omega, j + gy, i + gx - 1, 0, 1)

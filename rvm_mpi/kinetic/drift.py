@@ -14,9 +14,9 @@ from __future__ import annotations
 from math import comb
 
 import numpy as np
-from numba import njit
 
-from rvm_mpi.simd import KERNEL, load, maximum, shifted, splat, store, upwind, van_leer3, where_positive
+from rvm_mpi.kernels import part
+from rvm_mpi.simd import load, maximum, shifted, splat, store, upwind, van_leer3, where_positive
 from rvm_mpi.velocity import TAPS, Y_FACE, Y_OPEN, Y_SLOPE, Z_FACE, Z_OPEN, Z_SLOPE, Z_TAPS, Y, Z
 
 #: order of the linear reconstructions by their name in the job file
@@ -30,7 +30,7 @@ def scratch_size(points_z: int, slab_size: int) -> int:
     return SCRATCH_ROWS * (slab_size + 2 * _guard(points_z)) + 2 * TAPS
 
 
-@njit(**KERNEL)
+@part
 def _guard(points_z):  # type: ignore[no-untyped-def]
     """Zeros before and after a row of `scratch`: what the widest stencil reaches in y."""
     return (TAPS // 2) * points_z + 8
@@ -51,20 +51,20 @@ def stencil(order: int) -> np.ndarray:
     return np.stack([central, upper[-1] * difference])
 
 
-@njit(**KERNEL)
+@part
 def turning_rates(rates):  # type: ignore[no-untyped-def]
     """A and d_x omega, for velocities that go up and down, and d_y omega likewise, for whole vectors."""
     return rates[0], rates[1], rates[2], splat(rates[3]), splat(rates[4])
 
 
-@njit(**KERNEL)
+@part
 def pushes(rates):  # type: ignore[no-untyped-def]
     """1/h of the three velocity directions, and beta u/h."""
     per_x, per_y, per_z = rates[8], rates[9], rates[10]
     return per_x, per_y, per_z, rates[5] * per_x, rates[6] * per_y, rates[7] * per_z
 
 
-@njit(**KERNEL)
+@part
 def update(g, cell, grid, rates, old, weight_old, weight_new, dt, scratch, result):  # type: ignore[no-untyped-def]
     """result = weight_old * old + weight_new * (g + dt * (result + drift)) for the block of one cell.
 
@@ -158,7 +158,7 @@ def update(g, cell, grid, rates, old, weight_old, weight_new, dt, scratch, resul
         slope_x, slope_next = slope_next, slope_x
 
 
-@njit(**KERNEL)
+@part
 def update_linear(g, cell, grid, rates, old, weight_old, weight_new, dt, scratch, result):  # type: ignore[no-untyped-def]
     """`update` with the linear reconstruction of `grid.stencil` in place of Van Leer's limiter."""
     points_x, points_y, points_z = grid.points

@@ -8,13 +8,12 @@ together.
 
 from __future__ import annotations
 
-from numba import njit
-
-from rvm_mpi.simd import KERNEL, load, prefetch, splat, store, total, van_leer, where_positive
+from rvm_mpi.kernels import part
+from rvm_mpi.simd import load, prefetch, splat, store, total, van_leer, where_positive
 from rvm_mpi.velocity import Y, Z
 
 
-@njit(**KERNEL)
+@part
 def upper_fluxes(  # type: ignore[no-untyped-def]
     g,
     cell,
