@@ -20,7 +20,14 @@ from rvm_mpi import stage
 from rvm_mpi.collisions.boltzmann import BoltzmannOperator
 from rvm_mpi.collisions.es_bgk import EXACT, REPLACED, discrete_gaussian, discrete_maxwellian
 from rvm_mpi.collisions.weight_store import shared_weights
-from rvm_mpi.estimates import collision_frequency, explicit_rate, fastest_rate
+from rvm_mpi.estimates import (
+    DRIFT_SHARES,
+    cheapest_share,
+    collision_frequency,
+    explicit_rate,
+    fastest_rate,
+    pieces_of_drift,
+)
 from rvm_mpi.job import JobError
 from rvm_mpi.kinetic.conservation import SUMS, correct
 from rvm_mpi.kinetic.drift import reach
@@ -39,10 +46,6 @@ if TYPE_CHECKING:
 GHOSTS = 2
 #: largest relative error of the moments that a sampled initial state may be corrected by
 SAMPLED = 0.1
-#: shares of the drift's rate that a step may be made for; what a cell has beyond, it takes in pieces
-DRIFT_SHARES = (1.0, 0.25, 0.0625)
-#: time of a piece of the drift over that of a cell's stage
-PIECE = 0.3
 #: Courant number up to which Van Leer's limiter keeps g positive
 POSITIVE = 0.5
 SIDES = ("x-lower", "x-upper", "y-lower", "y-upper")
@@ -534,13 +537,9 @@ class KineticStepper:
         self.share = 0
         if self.rates[0] <= self.rates[-1]:
             return
-        drift = self._diagnostics[..., stage.DRIFT]
-        pieces = [
-            float(np.where(self._rate_of_cells(1.0) > rate, np.ceil(drift / rate), 0.0).sum()) for rate in self.rates
-        ]
-        cells = math.prod(self.domain.cells)
-        costs = [rate * (cells + PIECE * count) for rate, count in zip(self.rates, self.domain.total(*pieces))]
-        self.share = int(np.argmin(costs))
+        transport, drift = self._diagnostics[..., stage.TRANSPORT], self._diagnostics[..., stage.DRIFT]
+        pieces = self.domain.total(*(pieces_of_drift(transport, drift, rate) for rate in self.rates))
+        self.share = cheapest_share(self.rates, pieces, math.prod(self.domain.cells))
 
     def _fail(self, worst: int) -> None:
         """Name the first bad cell; every rank raises, the line is the same on all.
