@@ -262,6 +262,14 @@ class Domain:
         self.comm.Allreduce(mine, result, op=MPI.MAX)
         return [float(v) for v in result]
 
+    def total(self, *counts: float) -> list[float]:
+        """The sum over all ranks of each value; of whole numbers, for which the order does not matter."""
+        if self.size == 1:
+            return [float(v) for v in counts]
+        mine, result = np.array(counts, dtype=float), np.empty(len(counts))
+        self.comm.Allreduce(mine, result)
+        return [float(v) for v in result]
+
 
 def aligned(shape: tuple[int, ...], guard: int = 0) -> np.ndarray:
     """Zeros of `shape` whose first element lies on a 64-byte border.

@@ -111,7 +111,7 @@ class Simulation:
         # a stage of no length measures the rates that set the first step
         self.kinetic.first_stage(0.0)
         self.kinetic.measure_sides()
-        self._rate, self._cooling_rate = self.kinetic.rate, self.kinetic.cooling_rate
+        self._set_rates()
         self.diagnostics = Diagnostics(self)
         if restart is not None:
             restart.fill(self.state(), self.domain)
@@ -179,9 +179,15 @@ class Simulation:
         self.time = self.time + dt if reached is None else reached
         self.number += 1
         self.last_dt = dt
-        self._rate, self._cooling_rate = self.kinetic.rate, self.kinetic.cooling_rate
+        self._set_rates()
         self.diagnostics.update(report)
         return Step(self.number, self.time, dt, limit)
+
+    def _set_rates(self) -> None:
+        """The rates of the last stage, which set the next step."""
+        if self.job.time.cfl is not None:
+            self.kinetic.choose_share()
+        self._rate, self._cooling_rate = self.kinetic.rate, self.kinetic.cooling_rate
 
     def _collapse(self, dt: float, limit: str) -> NumericalFailure:
         cell = None
@@ -258,6 +264,7 @@ class Simulation:
             "number": self.number,
             "last_dt": self.last_dt,
             "rate": self._rate,
+            "drift_share": self.kinetic.share,
             "cooling_rate": self._cooling_rate,
             "diagnostics": self.diagnostics.numbers(),
         }
@@ -266,6 +273,7 @@ class Simulation:
     def _set_numbers(self, numbers: dict[str, Any]) -> None:
         self.time, self.number, self.last_dt = numbers["time"], numbers["number"], numbers["last_dt"]
         self._rate, self._cooling_rate = numbers["rate"], numbers["cooling_rate"]
+        self.kinetic.share = numbers["drift_share"]
         self.diagnostics.set_numbers(numbers["diagnostics"])
 
     # -- what can be asked of the state ----------------------------------------------------------------

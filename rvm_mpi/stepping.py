@@ -19,10 +19,18 @@ from rvm_mpi import stage
 from rvm_mpi.collisions.boltzmann import BoltzmannOperator
 from rvm_mpi.collisions.es_bgk import EXACT, REPLACED, discrete_gaussian, discrete_maxwellian
 from rvm_mpi.collisions.weight_store import shared_weights
-from rvm_mpi.estimates import collision_frequency, explicit_rate, fastest_rate
+from rvm_mpi.estimates import (
+    DRIFT_SHARES,
+    cheapest_share,
+    collision_frequency,
+    explicit_rate,
+    fastest_rate,
+    pieces_of_drift,
+)
 from rvm_mpi.job import JobError
 from rvm_mpi.kernels import kernel
 from rvm_mpi.kinetic.conservation import SUMS, correct
+from rvm_mpi.kinetic.drift import reach
 from rvm_mpi.kinetic.walls import KINDS, fill_side
 from rvm_mpi.moments import fields, sums_about
 from rvm_mpi.stage import Cells, Model, Space, Work
@@ -37,6 +45,8 @@ if TYPE_CHECKING:
 GHOSTS = 2
 #: largest relative error of the moments that a sampled initial state may be corrected by
 SAMPLED = 0.1
+#: Courant number up to which Van Leer's limiter keeps g positive
+POSITIVE = 0.5
 SIDES = ("x-lower", "x-upper", "y-lower", "y-upper")
 _PROBLEMS = {
     stage.TOO_COLD_FOR_GRID: "the velocity grid cannot hold the temperature: T_g is below what its spacing resolves",
@@ -160,8 +170,13 @@ class KineticStepper:
         The rescaled distribution, ghost cells included.
     now : stage.Cells
         omega, carried moments and sums that belong to g.
-    rate, cooling_rate : float
-        Largest over this rank's cells of sum max|a|/h, and of |d ln E/dt| by dissipation, in the last stage.
+    rates : list of float
+        Largest over all cells, in the last stage, of the sum of max|a|/h over the directions of space and, times each
+        of `DRIFT_SHARES`, over those of velocity.
+    share : int
+        Which of them sets the step.
+    cooling_rate : float
+        Largest over all cells of |d ln E/dt| by dissipation, in the last stage.
     """
 
     def __init__(self, job: Job, domain: Domain, density: np.ndarray, velocity: np.ndarray, tensor: np.ndarray) -> None:
@@ -174,8 +189,7 @@ class KineticStepper:
         per = [1.0 / h if q < domain.dimensions else 0.0 for q, h in enumerate(domain.spacing)]
         self.space = Space(domain.dimensions, nx, ny, wx, wy, per[0], per[1])
         self.work = Work.create(self.grid, nx)
-        # the drift reads up to two slabs beyond a block
-        guard = 2 * self.grid.slab_size + self.grid.points[2] + 16
+        guard = reach(self.grid.points[2], self.grid.slab_size)
         self.g, self._other = (domain.empty(GHOSTS, self.grid.block, guard) for _ in range(2))
         self.now, self._middle, self._next = (self._cells() for _ in range(3))
         self._growth, self._depth = np.zeros((ny, nx)), np.zeros((ny, nx))
@@ -185,7 +199,7 @@ class KineticStepper:
         self._through = tuple(np.zeros((n, 5)) for n in (ny, ny, nx, nx))
         self._far = {name: self._side_states(name, density, velocity, tensor) for name in SIDES if domain.on_side(name)}
         self._wall_work = np.zeros((4, max(self.grid.nodes.shape[1], 3)))
-        self.rate = self.cooling_rate = 0.0
+        self.rates, self.share, self.cooling_rate = [0.0] * len(DRIFT_SHARES), 0, 0.0
         self._operator = _operator(job, domain)
         self._source = np.zeros((ny, nx, self.grid.block)) if self._operator else np.zeros((0, 0, 0))
         self._heating, self._penalty = np.zeros((ny, nx)), np.zeros((ny, nx))
@@ -499,13 +513,34 @@ class KineticStepper:
             self.work,
         )
         local = self._diagnostics
-        rate, cooling = float(local[..., stage.RATE].max()), float(local[..., stage.COOLING_RATE].max())
-        status = float(local[..., stage.STATUS].max())
-        if not (math.isfinite(rate) and math.isfinite(cooling)):
+        rates = [float(self._rate_of_cells(share).max()) for share in DRIFT_SHARES]
+        cooling, status = float(local[..., stage.COOLING_RATE].max()), float(local[..., stage.STATUS].max())
+        if not (math.isfinite(rates[0]) and math.isfinite(cooling)):
             status = max(status, float(stage.NOT_POSITIVE))
-        self.rate, self.cooling_rate, worst = self.domain.maximum(rate, cooling, status)
+        *self.rates, self.cooling_rate, worst = self.domain.maximum(*rates, cooling, status)
         if worst > stage.HEALTHY:
             self._fail(int(worst))
+
+    def _rate_of_cells(self, share: float) -> np.ndarray:
+        """Sum of max|a|/h over the directions of space and, times `share`, over those of velocity: (ny, nx)."""
+        return self._diagnostics[..., stage.TRANSPORT] + share * self._diagnostics[..., stage.DRIFT]
+
+    @property
+    def rate(self) -> float:
+        """The rate that, times dt, is to be the Courant number of a step."""
+        return self.rates[self.share]
+
+    def choose_share(self) -> None:
+        """Choose the share of the drift that the next step is made for, the one that takes least time; collective.
+
+        A long step costs more than a short one, for the cells whose drift it takes in pieces.
+        """
+        self.share = 0
+        if self.rates[0] <= self.rates[-1]:
+            return
+        transport, drift = self._diagnostics[..., stage.TRANSPORT], self._diagnostics[..., stage.DRIFT]
+        pieces = self.domain.total(*(pieces_of_drift(transport, drift, rate) for rate in self.rates))
+        self.share = cheapest_share(self.rates, pieces, math.prod(self.domain.cells))
 
     def _fail(self, worst: int) -> None:
         """Name the first bad cell; every rank raises, the line is the same on all.
@@ -519,7 +554,7 @@ class KineticStepper:
         else:
             local = self._diagnostics
             cell = self.first_cell(np.argwhere(local[..., stage.STATUS] == worst))
-            cell = cell or self.first_cell(np.argwhere(~np.isfinite(local[..., stage.RATE])))
+            cell = cell or self.first_cell(np.argwhere(~np.isfinite(self._rate_of_cells(1.0))))
         node = self._sick_node(cell) if cell is not None and worst == stage.NOT_A_NUMBER else None
         where = "" if cell is None else f" in {self.domain.place(cell)}"
         if node is not None:
@@ -538,7 +573,8 @@ class KineticStepper:
 
     def fastest_cell(self, cooling: bool) -> tuple[int, int] | None:
         """The cell that limited the last step by transport and drift, or by cooling; collective."""
-        column = self._diagnostics[..., stage.COOLING_RATE if cooling else stage.RATE]
+        share = DRIFT_SHARES[self.share]
+        column = self._diagnostics[..., stage.COOLING_RATE] if cooling else self._rate_of_cells(share)
         return self.first_cell(np.argwhere(column == self.domain.maximum(float(column.max()))[0]))
 
     def _sick_node(self, cell: tuple[int, int]) -> tuple[int, ...] | None:
@@ -566,7 +602,8 @@ class KineticStepper:
         begin, new = self.last.begin, self.last.new
         report: dict[str, Any] = {
             "status": _PROBLEMS.get(int(self._diagnostics[j, i, stage.STATUS]), "healthy"),
-            "rate": float(self._diagnostics[j, i, stage.RATE]),
+            "transport_rate": float(self._diagnostics[j, i, stage.TRANSPORT]),
+            "drift_rate": float(self._diagnostics[j, i, stage.DRIFT]),
             "cooling_rate": float(self._diagnostics[j, i, stage.COOLING_RATE]),
         }
         for name, cells in (("start", self.now), ("stage", begin), ("result", new)):
@@ -624,6 +661,7 @@ def _model(job: Job) -> Model:
         density_power=law.density_power if law is not None else 0.0,
         temperature_power=law.temperature_power if law is not None else 0.0,
         cooling=0.0 if collision.operator == "boltzmann" else collision.cooling,
+        courant=job.time.cfl or POSITIVE,
     )
 
 

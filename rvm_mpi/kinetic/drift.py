@@ -31,6 +31,12 @@ def scratch_size(points_z: int, slab_size: int) -> int:
 
 
 @part
+def reach(points_z, slab_size):  # type: ignore[no-untyped-def]
+    """How many doubles before and after a block `update` reads; what it finds there must be numbers."""
+    return 2 * slab_size + points_z + 16
+
+
+@part
 def _guard(points_z):  # type: ignore[no-untyped-def]
     """Zeros before and after a row of `scratch`: what the widest stencil reaches in y."""
     return (TAPS // 2) * points_z + 8
