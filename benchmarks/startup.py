@@ -1,7 +1,7 @@
 """Seconds from the start of `rvm run` to its first finished step, without and with compiled kernels on disk.
 
-A run is timed until step 1 stands in its history, and until the command has ended. Cold is with an empty directory for the
-kernels, warm with what the cold run left there. MPI's start and the imports are in it, as a user has them.
+A run is timed until step 1 stands in its history, and until the command has ended. Cold is with an empty directory for
+the kernels, warm with what the cold run left there. MPI's start and the imports are in it, as a user has them.
 
     python benchmarks/startup.py [--job jobs/demo.toml] [--ranks 1 2] [--times 3]
 """

@@ -37,7 +37,7 @@ FITS = 1.0 + 1e-9
 class Grid(NamedTuple):
     """The velocity grid as numbers and arrays for the kernels (`velocity.py`).
 
-    stencil (2, taps) are the coefficients of the drift's linear reconstruction, without taps for Van Leer's.
+    stencil (2, taps) are the coefficients of the drift's linear reconstruction, None for Van Leer's.
     """
 
     dimensions: int
@@ -52,7 +52,7 @@ class Grid(NamedTuple):
     nodes: np.ndarray
     per_spacing: tuple[float, float, float]
     half_width: tuple[float, float, float]
-    stencil: np.ndarray
+    stencil: np.ndarray | None
 
 
 class Space(NamedTuple):
@@ -76,7 +76,6 @@ class Model(NamedTuple):
 
     kinetic: bool
     conservative: bool
-    source: bool
     collisions: bool
     nu: float
     relaxation: float
@@ -114,7 +113,7 @@ def kernel_grid(grid: VelocityGrid, reconstruction: str = "van-leer") -> Grid:
         grid.nodes,
         (1 / grid.spacing[0], 1 / grid.spacing[1], 1 / grid.spacing[2]),
         grid.half_width,
-        np.zeros((2, 0)) if reconstruction == "van-leer" else drift.stencil(drift.ORDERS[reconstruction]),
+        None if reconstruction == "van-leer" else drift.stencil(drift.ORDERS[reconstruction]),
     )
 
 
@@ -295,10 +294,8 @@ def split(g, old, cell, grid, rates, second, weight_new, gaussian, dt, pieces, w
         here = target[at : at + block]
         for n in range(0, block, 8):
             store(here, n, splat(0.0))
-        if grid.stencil.shape[1] == 0:
-            drift.update(current, at, grid, rates, start, weight_start, weight, dt / pieces, work.scratch, here)
-        else:
-            drift.update_linear(current, at, grid, rates, start, weight_start, weight, dt / pieces, work.scratch, here)
+        now = dt / pieces
+        drift.apply(grid.stencil, current, at, grid, rates, start, weight_start, weight, now, work.scratch, here)
         current, target, spare = target, spare, target
     for n in range(0, block, 8):
         store(result, n, load(result, n) + load(current, at + n))
@@ -382,7 +379,7 @@ def sweep(  # type: ignore[no-untyped-def]
         source it is that of the penalisation, given for both.
     source, heating : flat array, (ny, nx) array
         Rate of g by an operator that is taken explicitly, blocks without ghosts, and the rate of f's energy with it;
-        read where `model.source` is set.
+        None where there is none: what it needs is then not even compiled.
     diagnostics : (ny, nx, DIAGNOSTICS) array
         Receives the columns named at the top of this module.
     sides : tuple of four (n, 5) arrays
@@ -479,7 +476,7 @@ def sweep(  # type: ignore[no-untyped-def]
                 east_through[q] = (west_through[q] - east_through[q]) + (south_through[q] - north_through[q])
             rate = east_through
 
-            if model.source:
+            if source is not None:
                 rate[4] += heating[j, i]
 
             # the state at the beginning of this stage, in f's units
@@ -532,19 +529,17 @@ def sweep(  # type: ignore[no-untyped-def]
 
             # transport and drift
             first = start.sums[j, i]
-            z = depth[j, i] if second or model.source else 0.0
+            z = depth[j, i] if second or source is not None else 0.0
             weight_old, weight_new = (0.5, 0.5 * (1.0 + z)) if second else (0.0, 1.0)
             weight_first = 0.5 * z
-            if model.source:
+            if source is not None:
                 at = (j * nx + i) * block
                 for n in range(0, block, 8):
                     store(result, n, load(result, n) + load(source, at + n))
             pieces = drift_pieces(dt, crossing, drifting, model.courant)
             if pieces == 0:
-                if grid.stencil.shape[1] == 0:
-                    drift.update(g, cell, grid, rates, out, weight_old, weight_new, dt, work.scratch, result)
-                else:
-                    drift.update_linear(g, cell, grid, rates, out, weight_old, weight_new, dt, work.scratch, result)
+                scratch = work.scratch
+                drift.apply(grid.stencil, g, cell, grid, rates, out, weight_old, weight_new, dt, scratch, result)
             else:
                 share = 0.0
                 if weight_first > 0.0 and second and model.collisions:
@@ -616,7 +611,7 @@ def sweep(  # type: ignore[no-untyped-def]
                     before = cooled(thermal, density, d, model.cooling, -dt if second else dt)
                     dissipated = 0.5 * abs(thermal - before)
             cooling_rate = 2.0 * beta * thermal / energy
-            if model.source:
+            if source is not None:
                 dissipated = -0.5 * dt * heating[j, i]
                 cooling_rate = abs(heating[j, i]) / energy
             for q in range(4):
@@ -638,7 +633,7 @@ def sweep(  # type: ignore[no-untyped-def]
             if not temperature_new > 0.0:
                 diagnostics[j, i, STATUS] = NOT_POSITIVE
                 continue
-            if model.collisions and not (second or model.source):
+            if model.collisions and source is None and not second:
                 z0 = relaxation_rate(model, density, temperature)
                 z1 = relaxation_rate(model, density_new * weight, temperature_new * omega_new * omega_new)
                 z = 0.5 * dt * (z0 + z1)
@@ -647,7 +642,7 @@ def sweep(  # type: ignore[no-untyped-def]
             if not second:
                 weight_first = 0.0
             whole = 1.0 + z + weight_last if second else 1.0 + z
-            if model.conservative and not model.source:
+            if model.conservative and source is None:
                 for q in range(5):
                     target[q] = (whole - weight_last) * wanted[q] - weight_first * m0[q]
                 mismatch = correct(result, target, d, points_x, slab_size, grid.x, grid.slab, work.correction, sums)
@@ -679,7 +674,7 @@ def sweep(  # type: ignore[no-untyped-def]
                     status = TOO_COLD_FOR_GRID
                 elif answer == FAILED:
                     status = NO_GAUSSIAN
-            if model.source:
+            if source is not None:
                 # the operator leaves g negative in places, far so where it is penalised
                 if share > 0.0:
                     for n in range(0, block, 8):

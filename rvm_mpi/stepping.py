@@ -506,7 +506,7 @@ class KineticStepper:
             self._growth,
             self._omega_end,
             self._depth,
-            self._source.reshape(-1),
+            self._source.reshape(-1) if self._operator else None,
             self._heating,
             self._diagnostics,
             self._sides,
@@ -654,7 +654,6 @@ def _model(job: Job) -> Model:
     return Model(
         kinetic=job.scaling.kind == "kinetic",
         conservative=bool(job.scheme.conservative),
-        source=collision.operator == "boltzmann",
         collisions=collisions,
         nu=1.0 - 1.0 / prandtl if collisions and prandtl is not None else 0.0,
         relaxation=law.coefficient / knudsen if law is not None and knudsen is not None else 0.0,

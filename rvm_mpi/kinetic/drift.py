@@ -254,3 +254,12 @@ def update_linear(g, cell, grid, rates, old, weight_old, weight_new, dt, scratch
             else:
                 r = r * weight_new
             store(result, at + n, r)
+
+
+@part
+def apply(stencil, g, cell, grid, rates, old, weight_old, weight_new, dt, scratch, result):  # type: ignore[no-untyped-def]
+    """`update`, or `update_linear` where the grid has a stencil: only the one that is used is compiled."""
+    if stencil is None:
+        update(g, cell, grid, rates, old, weight_old, weight_new, dt, scratch, result)
+    else:
+        update_linear(g, cell, grid, rates, old, weight_old, weight_new, dt, scratch, result)
