@@ -9,7 +9,6 @@ Medians over the steps, means over the ranks; snapshots and checkpoints apart, e
 """
 
 import argparse
-import functools
 import statistics
 import tempfile
 import time
@@ -18,16 +17,17 @@ from pathlib import Path
 
 from mpi4py import MPI
 
-from rvm_mpi import estimates, simulation, stage, stepping
+from rvm_mpi import estimates, simulation
 from rvm_mpi.bench import _job
 from rvm_mpi.domain import Domain
 from rvm_mpi.fluid import FluidSystem
 from rvm_mpi.job import Job
+from rvm_mpi.stepping import KineticStepper
 
 PARTS = {
-    "sweep": [(stage, "sweep")],
+    "sweep": [],
     "halo": [(Domain, "exchange")],
-    "walls": [(stepping, "fill_side")],
+    "walls": [],
     "fluid": [(FluidSystem, "advance"), (FluidSystem, "max_rate"), (FluidSystem, "omega")],
     "reductions": [(Domain, "maximum")],
     "diagnostics": [(simulation.Diagnostics, "update")],
@@ -59,10 +59,9 @@ class Clock:
         self._since = now
 
     def watch(self, owner: object, name: str, part: str) -> None:
-        """Wrap a function with this clock."""
+        """Wrap a function with this clock, in its place."""
         function = getattr(owner, name)
 
-        @functools.wraps(function)
         def timed(*args, **kwargs):
             self.turn()
             begin = self._since
@@ -75,6 +74,17 @@ class Clock:
                 self.whole[part].append(self._since - begin)
 
         setattr(owner, name, timed)
+
+    def watch_kernels(self) -> None:
+        """Wrap the kernels that a stepper holds, once it is made."""
+        make = KineticStepper.__init__
+
+        def made(stepper, *arguments):
+            make(stepper, *arguments)
+            self.watch(stepper, "_run_sweep", "sweep")
+            self.watch(stepper, "_fill_side", "walls")
+
+        KineticStepper.__init__ = made
 
     def watch_steps(self) -> None:
         """Begin a new step with each call of `Simulation.advance`."""
@@ -100,6 +110,7 @@ def main() -> None:
     for part, functions in PARTS.items():
         for owner, name in functions:
             clock.watch(owner, name, part)
+    clock.watch_kernels()
     clock.watch_steps()
     job = Job.from_file(options.job) if options.job else _job(tuple(options.cells), tuple(options.velocity))
     end = options.steps * estimates.first_step(job).dt

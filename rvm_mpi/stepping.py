@@ -28,7 +28,7 @@ from rvm_mpi.estimates import (
     pieces_of_drift,
 )
 from rvm_mpi.job import JobError
-from rvm_mpi.kernels import kernel
+from rvm_mpi.kernels import Direct, kernel
 from rvm_mpi.kinetic.conservation import SUMS, correct
 from rvm_mpi.kinetic.drift import reach
 from rvm_mpi.kinetic.walls import KINDS, fill_side
@@ -198,6 +198,7 @@ class KineticStepper:
         self._sides = tuple(np.zeros((n, 5)) for n in (ny, ny, nx, nx))
         self._through = tuple(np.zeros((n, 5)) for n in (ny, ny, nx, nx))
         self._far = {name: self._side_states(name, density, velocity, tensor) for name in SIDES if domain.on_side(name)}
+        self._run_sweep, self._fill_side = Direct(stage.sweep), Direct(fill_side)
         self._wall_work = np.zeros((4, max(self.grid.nodes.shape[1], 3)))
         self.rates, self.share, self.cooling_rate = [0.0] * len(DRIFT_SHARES), 0, 0.0
         self._operator = _operator(job, domain)
@@ -357,7 +358,7 @@ class KineticStepper:
             field[near] = omega
             field[far] = field[next_one] if boundary.kind == "specular" else omega
             sign = 1 if lower else -1
-            fill_side(
+            self._fill_side(
                 g.reshape(-1),
                 inner,
                 along[name[0]],
@@ -492,7 +493,7 @@ class KineticStepper:
             if self.job.collision.penalise and not second:
                 self._set_penalty(dt)
             self._collide(g, begin)
-        stage.sweep(
+        self._run_sweep(
             self.grid,
             self.space,
             self.model,
