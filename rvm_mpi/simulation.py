@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from rvm_mpi import checkpoint, postmortem, rundir
+from rvm_mpi import checkpoint, kernels, postmortem, rundir
 from rvm_mpi.checkpoint import Checkpoint
 from rvm_mpi.control import Control
 from rvm_mpi.domain import Domain
@@ -483,7 +483,7 @@ def run_job(
     """
     rundir.check(output, restart, overwrite)
     if not quiet and os.environ.get("OMPI_COMM_WORLD_RANK", "0") == "0" and not _compiled_before():
-        print("compiling the kernels, once per installation: about a minute", file=sys.stderr, flush=True)
+        print("compiling the kernels, which are kept for the next run: some ten seconds", file=sys.stderr, flush=True)
     with Control(output, walltime, job.output.checkpoint_every) as control:
         simulation, lines = _resumed(job, output) if restart else (Simulation(job), [])
         try:
@@ -499,10 +499,9 @@ def run_job(
 
 
 def _compiled_before() -> bool:
-    """Whether numba's cache beside the sources holds the largest kernel."""
-    from rvm_mpi import stage
-
-    return any((Path(stage.__file__).parent / "__pycache__").glob("stage.sweep*.nbi"))
+    """Whether the largest kernel is on disk."""
+    directory = kernels.kept_in()
+    return directory is not None and any(directory.glob("rvm_mpi.stage.sweep-*.code"))
 
 
 def _resumed(job: Job, output: Path) -> tuple[Simulation, list[str]]:

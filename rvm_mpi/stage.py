@@ -12,13 +12,13 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from rvm_mpi.collisions.es_bgk import FAILED, REPLACED, TOO_COLD, discrete_gaussian, discrete_maxwellian
+from rvm_mpi.kernels import kernel, part
 from rvm_mpi.kinetic import drift
 from rvm_mpi.kinetic.conservation import SUMS, add_correction, correct, weighted_sums
 from rvm_mpi.kinetic.transport import PIECE, upper_fluxes
-from rvm_mpi.simd import KERNEL, load, maximum, minimum, splat, store, total
+from rvm_mpi.simd import load, maximum, minimum, splat, store, total
 from rvm_mpi.velocity import EDGE, SPEED2, VALID, VelocityGrid, Y
 
 #: columns of the diagnostics a stage leaves of each cell; the rates are sums of max|a|/h over the directions
@@ -37,7 +37,7 @@ FITS = 1.0 + 1e-9
 class Grid(NamedTuple):
     """The velocity grid as numbers and arrays for the kernels (`velocity.py`).
 
-    stencil (2, taps) are the coefficients of the drift's linear reconstruction, without taps for Van Leer's.
+    stencil (2, taps) are the coefficients of the drift's linear reconstruction, None for Van Leer's.
     """
 
     dimensions: int
@@ -52,7 +52,7 @@ class Grid(NamedTuple):
     nodes: np.ndarray
     per_spacing: tuple[float, float, float]
     half_width: tuple[float, float, float]
-    stencil: np.ndarray
+    stencil: np.ndarray | None
 
 
 class Space(NamedTuple):
@@ -76,7 +76,6 @@ class Model(NamedTuple):
 
     kinetic: bool
     conservative: bool
-    source: bool
     collisions: bool
     nu: float
     relaxation: float
@@ -114,7 +113,7 @@ def kernel_grid(grid: VelocityGrid, reconstruction: str = "van-leer") -> Grid:
         grid.nodes,
         (1 / grid.spacing[0], 1 / grid.spacing[1], 1 / grid.spacing[2]),
         grid.half_width,
-        np.zeros((2, 0)) if reconstruction == "van-leer" else drift.stencil(drift.ORDERS[reconstruction]),
+        None if reconstruction == "van-leer" else drift.stencil(drift.ORDERS[reconstruction]),
     )
 
 
@@ -165,20 +164,20 @@ class Work(NamedTuple):
         )
 
 
-@njit(**KERNEL)
+@part
 def cooled(thermal, density, d, cooling, dt):  # type: ignore[no-untyped-def]
     """Thermal energy d rho T/2 after dt of dT/dt = -2 cooling rho T^(3/2), exactly (Haff), forwards or backwards."""
     root = math.sqrt(2.0 * thermal / (d * density))
     return thermal / (1.0 + cooling * density * root * dt) ** 2
 
 
-@njit(**KERNEL)
+@part
 def relaxation_rate(model, density, temperature):  # type: ignore[no-untyped-def]
     """tau(rho, T)/eps of f."""
     return model.relaxation * density**model.density_power * temperature**model.temperature_power
 
 
-@njit(**KERNEL)
+@part
 def through(moments, weight, flux):  # type: ignore[no-untyped-def]
     """Rates of mass, momentum and energy of f through a face, from the moments of its flux (`transport.py`)."""
     for q in range(4):
@@ -186,7 +185,7 @@ def through(moments, weight, flux):  # type: ignore[no-untyped-def]
     flux[4] = 0.5 * weight * moments[4]
 
 
-@njit(**KERNEL)
+@part
 def face_omega(upwind, omega, j, i, down, right):  # type: ignore[no-untyped-def]
     """omega at the upper face of cell (j, i) along (down, right), as this cell and as the next one see it.
 
@@ -202,13 +201,13 @@ def face_omega(upwind, omega, j, i, down, right):  # type: ignore[no-untyped-def
     return b + limited(b - a, c - b), c - limited(c - b, e - c)
 
 
-@njit(**KERNEL)
+@part
 def limited(a, b):  # type: ignore[no-untyped-def]
     """Half of Van Leer's slope."""
     return a * b / (a + b) if a * b > 0.0 else 0.0
 
 
-@njit(**KERNEL)
+@part
 def blend(nu, d, first, sums, wanted, temperature, weight_first, weight_last, whole, centre, tensor):  # type: ignore[no-untyped-def]
     """Mean and temperature tensor of weight_first G[g^n] + weight_last G[result], as one Gaussian; returns its sum.
 
@@ -250,7 +249,7 @@ def blend(nu, d, first, sums, wanted, temperature, weight_first, weight_last, wh
     return density
 
 
-@njit(**KERNEL)
+@part
 def drift_pieces(dt, crossing, drifting, courant):  # type: ignore[no-untyped-def]
     """In how many pieces a cell's drift is taken by itself; 0 where it goes together with transport.
 
@@ -266,7 +265,7 @@ def drift_pieces(dt, crossing, drifting, courant):  # type: ignore[no-untyped-de
     return max(1, math.ceil(dt * drifting / (FITS * courant)))
 
 
-@njit(**KERNEL)
+@part
 def split(g, old, cell, grid, rates, second, weight_new, gaussian, dt, pieces, work):  # type: ignore[no-untyped-def]
     """The explicit part of a stage where the drift is too fast for it: `work.result` from the change by transport.
 
@@ -297,16 +296,14 @@ def split(g, old, cell, grid, rates, second, weight_new, gaussian, dt, pieces, w
         here = target[at : at + block]
         for n in range(0, block, 8):
             store(here, n, splat(0.0))
-        if grid.stencil.shape[1] == 0:
-            drift.update(current, at, grid, rates, start, weight_start, weight, dt / pieces, work.scratch, here)
-        else:
-            drift.update_linear(current, at, grid, rates, start, weight_start, weight, dt / pieces, work.scratch, here)
+        now = dt / pieces
+        drift.apply(grid.stencil, current, at, grid, rates, start, weight_start, weight, now, work.scratch, here)
         current, target, spare = target, spare, target
     for n in range(0, block, 8):
         store(result, n, load(result, n) + load(current, at + n))
 
 
-@njit(**KERNEL)
+@part
 def mix(block, factor_x, factor_slab, own, gaussian, share, points_x, slab_size, x, slab, out, at, watched, extremes):  # type: ignore[no-untyped-def]
     """out = own * block * factor + share * gaussian.
 
@@ -343,7 +340,7 @@ def mix(block, factor_x, factor_slab, own, gaussian, share, points_x, slab_size,
     extremes[2], extremes[3] = total(edge_mass), total(edge_energy)
 
 
-@njit(**KERNEL)
+@kernel
 def sweep(  # type: ignore[no-untyped-def]
     grid,
     space,
@@ -384,7 +381,7 @@ def sweep(  # type: ignore[no-untyped-def]
         source it is that of the penalisation, given for both.
     source, heating : flat array, (ny, nx) array
         Rate of g by an operator that is taken explicitly, blocks without ghosts, and the rate of f's energy with it;
-        read where `model.source` is set.
+        None where there is none: what it needs is then not even compiled.
     diagnostics : (ny, nx, DIAGNOSTICS) array
         Receives the columns named at the top of this module.
     sides : tuple of four (n, 5) arrays
@@ -452,10 +449,12 @@ def sweep(  # type: ignore[no-untyped-def]
                 north_moments,
             )
             if j < 0:
-                south_moments[i, :] = north_moments[:5]
+                for q in range(5):
+                    south_moments[i, q] = north_moments[q]
                 continue
             if i < 0:
-                west_moments[:5] = east_moments[:5]
+                for q in range(5):
+                    west_moments[q] = east_moments[q]
                 continue
             if across_x:
                 omega_w = face_omega(model.conservative, omega, j + gy, i + gx - 1, 0, 1)
@@ -480,7 +479,7 @@ def sweep(  # type: ignore[no-untyped-def]
                 east_through[q] = (west_through[q] - east_through[q]) + (south_through[q] - north_through[q])
             rate = east_through
 
-            if model.source:
+            if source is not None:
                 rate[4] += heating[j, i]
 
             # the state at the beginning of this stage, in f's units
@@ -533,19 +532,17 @@ def sweep(  # type: ignore[no-untyped-def]
 
             # transport and drift
             first = start.sums[j, i]
-            z = depth[j, i] if second or model.source else 0.0
+            z = depth[j, i] if second or source is not None else 0.0
             weight_old, weight_new = (0.5, 0.5 * (1.0 + z)) if second else (0.0, 1.0)
             weight_first = 0.5 * z
-            if model.source:
+            if source is not None:
                 at = (j * nx + i) * block
                 for n in range(0, block, 8):
                     store(result, n, load(result, n) + load(source, at + n))
             pieces = drift_pieces(dt, crossing, drifting, model.courant)
             if pieces == 0:
-                if grid.stencil.shape[1] == 0:
-                    drift.update(g, cell, grid, rates, out, weight_old, weight_new, dt, work.scratch, result)
-                else:
-                    drift.update_linear(g, cell, grid, rates, out, weight_old, weight_new, dt, work.scratch, result)
+                scratch = work.scratch
+                drift.apply(grid.stencil, g, cell, grid, rates, out, weight_old, weight_new, dt, scratch, result)
             else:
                 share = 0.0
                 if weight_first > 0.0 and second and model.collisions:
@@ -617,7 +614,7 @@ def sweep(  # type: ignore[no-untyped-def]
                     before = cooled(thermal, density, d, model.cooling, -dt if second else dt)
                     dissipated = 0.5 * abs(thermal - before)
             cooling_rate = 2.0 * beta * thermal / energy
-            if model.source:
+            if source is not None:
                 dissipated = -0.5 * dt * heating[j, i]
                 cooling_rate = abs(heating[j, i]) / energy
             for q in range(4):
@@ -639,7 +636,7 @@ def sweep(  # type: ignore[no-untyped-def]
             if not temperature_new > 0.0:
                 diagnostics[j, i, STATUS] = NOT_POSITIVE
                 continue
-            if model.collisions and not (second or model.source):
+            if model.collisions and source is None and not second:
                 z0 = relaxation_rate(model, density, temperature)
                 z1 = relaxation_rate(model, density_new * weight, temperature_new * omega_new * omega_new)
                 z = 0.5 * dt * (z0 + z1)
@@ -648,7 +645,7 @@ def sweep(  # type: ignore[no-untyped-def]
             if not second:
                 weight_first = 0.0
             whole = 1.0 + z + weight_last if second else 1.0 + z
-            if model.conservative and not model.source:
+            if model.conservative and source is None:
                 for q in range(5):
                     target[q] = (whole - weight_last) * wanted[q] - weight_first * m0[q]
                 mismatch = correct(result, target, d, points_x, slab_size, grid.x, grid.slab, work.correction, sums)
@@ -680,7 +677,7 @@ def sweep(  # type: ignore[no-untyped-def]
                     status = TOO_COLD_FOR_GRID
                 elif answer == FAILED:
                     status = NO_GAUSSIAN
-            if model.source:
+            if source is not None:
                 # the operator leaves g negative in places, far so where it is penalised
                 if share > 0.0:
                     for n in range(0, block, 8):

@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from numba import njit
 
 from rvm_mpi import stage
 from rvm_mpi.collisions.boltzmann import BoltzmannOperator
@@ -29,11 +28,11 @@ from rvm_mpi.estimates import (
     pieces_of_drift,
 )
 from rvm_mpi.job import JobError
+from rvm_mpi.kernels import kernel
 from rvm_mpi.kinetic.conservation import SUMS, correct
 from rvm_mpi.kinetic.drift import reach
 from rvm_mpi.kinetic.walls import KINDS, fill_side
 from rvm_mpi.moments import fields, sums_about
-from rvm_mpi.simd import KERNEL
 from rvm_mpi.stage import Cells, Model, Space, Work
 from rvm_mpi.states import distribution
 from rvm_mpi.velocity import VelocityGrid
@@ -122,10 +121,9 @@ class StepReport:
     entered: dict[str, np.ndarray]
 
 
-@njit(**KERNEL)
-def _fill_gaussians(g, space, grid, density, mean, tensors, work, block, status):  # type: ignore[no-untyped-def]
+@kernel
+def _fill_gaussians(g, space, grid, density, mean, tensors, work, block, status, moments):  # type: ignore[no-untyped-def]
     """Discrete Gaussians with the given sums, means and tensors in every cell; status (ny, nx) of each."""
-    moments = np.zeros(10)
     row = (space.nx + 2 * space.wx) * grid.block
     for j in range(space.ny):
         for i in range(space.nx):
@@ -136,10 +134,10 @@ def _fill_gaussians(g, space, grid, density, mean, tensors, work, block, status)
                 g[cell + n] = scale * block[n]
 
 
-@njit(**KERNEL)
-def _penalise(g, space, grid, sums, rate, work, block, source):  # type: ignore[no-untyped-def]
+@kernel
+def _penalise(g, space, grid, sums, rate, work, block, source, small):  # type: ignore[no-untyped-def]
     """source -= rate (G[g] - g) in every cell, G the discrete Maxwellian with the sums (ny, nx, 10) of g."""
-    moments, mean, tensor = np.zeros(10), np.zeros(3), np.zeros(6)
+    moments, mean, tensor = small
     row = (space.nx + 2 * space.wx) * grid.block
     for j in range(space.ny):
         for i in range(space.nx):
@@ -200,6 +198,7 @@ class KineticStepper:
         self._sides = tuple(np.zeros((n, 5)) for n in (ny, ny, nx, nx))
         self._through = tuple(np.zeros((n, 5)) for n in (ny, ny, nx, nx))
         self._far = {name: self._side_states(name, density, velocity, tensor) for name in SIDES if domain.on_side(name)}
+        self._wall_work = np.zeros((4, max(self.grid.nodes.shape[1], 3)))
         self.rates, self.share, self.cooling_rate = [0.0] * len(DRIFT_SHARES), 0, 0.0
         self._operator = _operator(job, domain)
         self._source = np.zeros((ny, nx, self.grid.block)) if self._operator else np.zeros((0, 0, 0))
@@ -262,6 +261,7 @@ class KineticStepper:
             self.work.fit,
             self.work.gaussian,
             status,
+            np.zeros(10),
         )
         worst = int(self.domain.maximum(float(status.max()))[0])
         if worst > EXACT:
@@ -370,6 +370,7 @@ class KineticStepper:
                 states,
                 omega,
                 self.grid,
+                self._wall_work,
             )
 
     def set_scaling(self, omega_end: np.ndarray, dt: float) -> None:
@@ -457,7 +458,7 @@ class KineticStepper:
         if collision.penalise:
             _penalise(
                 g.reshape(-1), self.space, self.grid, cells.sums, self._penalty, self.work.fit, self.work.gaussian,
-                self._source,
+                self._source, (np.zeros(10), np.zeros(3), np.zeros(6)),
             )  # fmt: skip
         if collision.elastic:
             return
@@ -505,7 +506,7 @@ class KineticStepper:
             self._growth,
             self._omega_end,
             self._depth,
-            self._source.reshape(-1),
+            self._source.reshape(-1) if self._operator else None,
             self._heating,
             self._diagnostics,
             self._sides,
@@ -653,7 +654,6 @@ def _model(job: Job) -> Model:
     return Model(
         kinetic=job.scaling.kind == "kinetic",
         conservative=bool(job.scheme.conservative),
-        source=collision.operator == "boltzmann",
         collisions=collisions,
         nu=1.0 - 1.0 / prandtl if collisions and prandtl is not None else 0.0,
         relaxation=law.coefficient / knudsen if law is not None and knudsen is not None else 0.0,
