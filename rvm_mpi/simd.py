@@ -25,6 +25,8 @@ from numba.np.arrayobj import make_array
 from rvm_mpi.kernels import part
 
 LANES = 8
+#: smallest product of two differences that `van_leer3` makes a slope of
+LEAST = 1e-180
 _DOUBLE = ir.DoubleType()
 _VECTOR = ir.VectorType(_DOUBLE, LANES)
 _INTS = ir.VectorType(ir.IntType(64), LANES)
@@ -110,6 +112,41 @@ def splat(typingctx, value):  # type: ignore[no-untyped-def]
 
 
 @intrinsic
+def spread(typingctx, array, index):  # type: ignore[no-untyped-def]
+    """A vector with array[index] in every lane; the caller answers for the bounds."""
+
+    def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
+        pointer = builder.gep(make_array(signature.args[0])(context, builder, args[0]).data, [args[1]])
+        return _splat(builder, builder.load(pointer))
+
+    return vector8(array, types.intp), codegen
+
+
+@intrinsic
+def first_lane(typingctx, vector):  # type: ignore[no-untyped-def]
+    """The first of the eight doubles."""
+
+    def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
+        return builder.extract_element(args[0], _I32(0))
+
+    return types.float64(vector8), codegen
+
+
+@intrinsic
+def leading(typingctx, vector, count):  # type: ignore[no-untyped-def]
+    """The first `count` lanes of a vector, zero in the others."""
+
+    def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
+        undefined = ir.Constant(_INTS, ir.Undefined)
+        counts = builder.insert_element(undefined, args[1], _I32(0))
+        counts = builder.shuffle_vector(counts, undefined, ir.Constant(_LANE_INDEX, [0] * LANES))
+        within = builder.icmp_signed("<", ir.Constant(_INTS, list(range(LANES))), counts)
+        return builder.select(within, args[0], _constant(0.0))
+
+    return vector8(vector8, types.intp), codegen
+
+
+@intrinsic
 def total(typingctx, vector):  # type: ignore[no-untyped-def]
     """The sum of the lanes, from the first to the last."""
 
@@ -169,33 +206,63 @@ for _operator, _instruction in ((operator.add, "fadd"), (operator.sub, "fsub"), 
     _register(_operator, _instruction)
 
 
+def _fused(builder: Any, a: Any, b: Any, c: Any) -> Any:
+    """a b + c, rounded once where the processor can."""
+    return builder.fadd(builder.fmul(a, b, flags=("contract",)), c, flags=("contract",))
+
+
+def _limited(divide: Callable[[Any, Any, Any], Any]) -> Any:
+    @intrinsic
+    def operation(typingctx, a, b):  # type: ignore[no-untyped-def]
+        def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
+            a, b = args
+            product = builder.fmul(a, b)
+            slope = divide(builder, product, builder.fadd(a, b))
+            zero = _constant(0.0)
+            return builder.select(builder.fcmp_ordered(">", product, zero), slope, zero)
+
+        return vector8(vector8, vector8), codegen
+
+    return operation
+
+
+# the bits of 1/d to one part in eight are these less the bits of d: exponent and mantissa with the opposite sign
+_INVERSE_BITS = 0x7FDE6238502484BA
+
+
+def _by_newton(builder: Any, n: Any, d: Any) -> Any:
+    """n/d to two units in the last place, d normal, in ten multiplications and additions."""
+    bits = builder.sub(ir.Constant(_INTS, [_INVERSE_BITS] * LANES), builder.bitcast(d, _INTS))
+    inverse = builder.bitcast(bits, _VECTOR)
+    minus = builder.fneg(d)
+    for order in (3, 3, 2):
+        error = _fused(builder, minus, inverse, _constant(1.0))
+        if order == 3:
+            error = _fused(builder, error, error, error)
+        inverse = _fused(builder, inverse, error, inverse)
+    return builder.fmul(n, inverse)
+
+
+#: half of Van Leer's harmonic slope of the differences a, b: a b/(a+b) where they agree in sign, else 0
+van_leer = _limited(lambda builder, n, d: builder.fdiv(n, d))
+#: the same to two units in the last place without a division, to be worked out beside one: a processor divides vectors
+#: slowly, but goes on multiplying meanwhile
+van_leer_newton = _limited(_by_newton)
+
+
 @intrinsic
-def van_leer(typingctx, a, b):  # type: ignore[no-untyped-def]
-    """Half of Van Leer's harmonic slope of the differences a, b: a b/(a+b) where they agree in sign, else 0."""
+def _slope_parts(typingctx, a, b, least):  # type: ignore[no-untyped-def]
+    """Product and sum of two differences; 0 and 1 where the product is not above `least`."""
 
     def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
-        a, b = args
+        a, b, least = args
         product = builder.fmul(a, b)
-        quotient = builder.fdiv(product, builder.fadd(a, b))
-        zero = _constant(0.0)
-        return builder.select(builder.fcmp_ordered(">", product, zero), quotient, zero)
+        sloped = builder.fcmp_ordered(">", product, least)
+        product = builder.select(sloped, product, _constant(0.0))
+        total = builder.select(sloped, builder.fadd(a, b), _constant(1.0))
+        return context.make_tuple(builder, signature.return_type, (product, total))
 
-    return vector8(vector8, vector8), codegen
-
-
-@intrinsic
-def _slope_parts(typingctx, a, b):  # type: ignore[no-untyped-def]
-    """Numerator and denominator of `van_leer`, 0 and 1 where the slope is to be zero."""
-
-    def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
-        a, b = args
-        product = builder.fmul(a, b)
-        sloped = builder.fcmp_ordered(">", product, _constant(1e-180))
-        numerator = builder.select(sloped, product, _constant(0.0))
-        denominator = builder.select(sloped, builder.fadd(a, b), _constant(1.0))
-        return context.make_tuple(builder, signature.return_type, (numerator, denominator))
-
-    return types.UniTuple(vector8, 2)(vector8, vector8), codegen
+    return types.UniTuple(vector8, 2)(vector8, vector8, vector8), codegen
 
 
 @intrinsic
@@ -207,11 +274,14 @@ def _reciprocal(typingctx, a):  # type: ignore[no-untyped-def]
 
 
 @part
-def van_leer3(a1, b1, a2, b2, a3, b3):  # type: ignore[no-untyped-def]
-    """Three slopes of `van_leer` for one division; zero where the product of differences is below 1e-180."""
-    n1, d1 = _slope_parts(a1, b1)
-    n2, d2 = _slope_parts(a2, b2)
-    n3, d3 = _slope_parts(a3, b3)
+def van_leer3(a1, b1, least1, a2, b2, least2, a3, b3, least3):  # type: ignore[no-untyped-def]
+    """Three slopes of `van_leer` for one division; zero where the product of differences is not above `least`.
+
+    `least` is `LEAST` or more: below it the product of the three denominators could leave the range of doubles.
+    """
+    n1, d1 = _slope_parts(a1, b1, least1)
+    n2, d2 = _slope_parts(a2, b2, least2)
+    n3, d3 = _slope_parts(a3, b3, least3)
     d12 = d1 * d2
     inverse = _reciprocal(d12 * d3)
     rest = d3 * inverse
@@ -283,22 +353,19 @@ def exponential(typingctx, x):  # type: ignore[no-untyped-def]
     """exp(x) to 1e-14 relative; x is clamped to [-708, 709], so the smallest result is 3e-308."""
 
     def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
-        def fused(a, b, c):  # type: ignore[no-untyped-def]
-            return builder.fadd(builder.fmul(a, b, flags=("contract",)), c, flags=("contract",))
-
         x = _select(builder, ">", args[0], _constant(-708.0))
         x = _select(builder, "<", x, _constant(709.0))
         shifted = builder.fadd(builder.fmul(x, _constant(_LOG2_E)), _constant(_ROUND))
         power = builder.fsub(shifted, _constant(_ROUND))
-        r = fused(power, _constant(-_LN2_HIGH), x)
-        r = fused(power, _constant(-_LN2_LOW), r)
+        r = _fused(builder, power, _constant(-_LN2_HIGH), x)
+        r = _fused(builder, power, _constant(-_LN2_LOW), r)
         c = [_constant(1.0 / math.factorial(n)) for n in range(12)]
         r2 = builder.fmul(r, r)
         r4 = builder.fmul(r2, r2)
         r8 = builder.fmul(r4, r4)
-        pair = [fused(r, c[n + 1], c[n]) for n in range(0, 12, 2)]
-        low = fused(r4, fused(r2, pair[3], pair[2]), fused(r2, pair[1], pair[0]))
-        polynomial = fused(r8, fused(r2, pair[5], pair[4]), low)
+        pair = [_fused(builder, r, c[n + 1], c[n]) for n in range(0, 12, 2)]
+        low = _fused(builder, r4, _fused(builder, r2, pair[3], pair[2]), _fused(builder, r2, pair[1], pair[0]))
+        polynomial = _fused(builder, r8, _fused(builder, r2, pair[5], pair[4]), low)
         offset = ir.Constant(_INTS, [_ROUND_BITS - 1023] * LANES)
         exponent = builder.sub(builder.bitcast(shifted, _INTS), offset)
         scale = builder.shl(exponent, ir.Constant(_INTS, [52] * LANES))

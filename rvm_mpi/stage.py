@@ -17,7 +17,7 @@ from rvm_mpi.collisions.es_bgk import FAILED, REPLACED, TOO_COLD, discrete_gauss
 from rvm_mpi.kernels import kernel, part
 from rvm_mpi.kinetic import drift
 from rvm_mpi.kinetic.conservation import SUMS, add_correction, correct, weighted_sums
-from rvm_mpi.kinetic.transport import upper_fluxes
+from rvm_mpi.kinetic.transport import PIECE, upper_fluxes
 from rvm_mpi.simd import load, maximum, minimum, splat, store, total
 from rvm_mpi.velocity import EDGE, SPEED2, VALID, VelocityGrid, Y
 
@@ -122,6 +122,7 @@ class Work(NamedTuple):
 
     west: np.ndarray
     south: np.ndarray
+    faces: np.ndarray
     result: np.ndarray
     gaussian: np.ndarray
     flow: tuple[np.ndarray, np.ndarray, np.ndarray]
@@ -143,6 +144,7 @@ class Work(NamedTuple):
         return cls(
             west=aligned((grid.block,)),
             south=aligned((grid.block * nx,)),
+            faces=aligned((2 * PIECE,)),
             result=aligned((grid.block,)),
             gaussian=aligned((grid.block,)),
             flow=(aligned(guarded), aligned(guarded), aligned(guarded)),
@@ -441,6 +443,7 @@ def sweep(  # type: ignore[no-untyped-def]
                 west if j >= 0 else work.gaussian,
                 south if i >= 0 else work.gaussian,
                 max(i, 0) * block,
+                work.faces,
                 result,
                 east_moments,
                 north_moments,

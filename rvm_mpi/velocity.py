@@ -11,10 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rvm_mpi.simd import LANES
+from rvm_mpi.simd import LANES, LEAST
 
 #: rows of `VelocityGrid.slab`
-Y, Z, Y_FACE, Z_FACE, VALID, Y_SLOPE, Y_OPEN, Z_SLOPE, Z_OPEN, EDGE, SPEED2, Z_TAPS = range(12)
+Y, Z, Y_FACE, Z_FACE, VALID, Y_LEAST, Y_OPEN, Z_LEAST, Z_OPEN, EDGE, SPEED2, Z_TAPS = range(12)
 #: nodes around a face that the widest reconstruction takes
 TAPS = 8
 
@@ -36,11 +36,12 @@ class VelocityGrid:
     x, x_face : (points_x,) array
         Nodes, and the face above each (the last one, the edge of the box, is closed).
     slab : (11 + TAPS, slab_size) array
-        Rows Y, Z: nodes; Y_FACE, Z_FACE: the face above in y and in z; VALID: 1 for a node, 0 for padding; Y_SLOPE,
-        Z_SLOPE: 1 where a node has neighbours on both sides; Y_OPEN, Z_OPEN: 1 where the face above is inside the box;
+        Rows Y, Z: nodes; Y_FACE, Z_FACE: the face above in y and in z, 0 where it is the edge of the box; VALID: 1 for
+        a node, 0 for padding; Y_LEAST, Z_LEAST: what the product of the differences to both neighbours must exceed for
+        a slope, infinite where one is missing; Y_OPEN, Z_OPEN: 1 where the face above is inside the box;
         EDGE: 1 for the outermost nodes in y or z; SPEED2: xi_y^2 + xi_z^2;
         from Z_TAPS on: 1 where the nodes around the face above in z exist, from TAPS/2 below it to TAPS/2 above.
-    nodes : (3, longest axis) array
+    nodes : (3, longest axis in whole vectors) array
         Nodes of each axis, zero behind its last one.
     """
 
@@ -71,17 +72,19 @@ class VelocityGrid:
         slab = np.zeros((Z_TAPS + TAPS, slab_size))
         inner = slice(0, slab_points)
         slab[Y, inner], slab[Z, inner] = axes[1][j], axes[2][k]
-        slab[Y_FACE, inner] = (2 * j + 2 - ny) * (0.5 * spacing[1])
-        slab[Z_FACE, inner] = (2 * k + 2 - nz) * (0.5 * spacing[2])
+        slab[Y_FACE, inner] = (2 * j + 2 - ny) * (0.5 * spacing[1]) * (j < ny - 1)
+        slab[Z_FACE, inner] = (2 * k + 2 - nz) * (0.5 * spacing[2]) * (k < nz - 1)
         slab[VALID, inner] = 1.0
-        slab[Y_SLOPE, inner], slab[Y_OPEN, inner] = (j > 0) & (j < ny - 1), j < ny - 1
-        slab[Z_SLOPE, inner], slab[Z_OPEN, inner] = (k > 0) & (k < nz - 1), k < nz - 1
+        slab[[Y_LEAST, Z_LEAST]] = np.inf
+        slab[Y_LEAST, np.flatnonzero((j > 0) & (j < ny - 1))] = LEAST
+        slab[Z_LEAST, np.flatnonzero((k > 0) & (k < nz - 1))] = LEAST
+        slab[Y_OPEN, inner], slab[Z_OPEN, inner] = j < ny - 1, k < nz - 1
         outermost = ((ny > 1) & ((j == 0) | (j == ny - 1))) | ((nz > 1) & ((k == 0) | (k == nz - 1)))
         slab[EDGE, inner], slab[SPEED2, inner] = outermost, axes[1][j] ** 2 + axes[2][k] ** 2
         for tap in range(TAPS):
             there = k + tap + 1 - TAPS // 2
             slab[Z_TAPS + tap, inner] = (there >= 0) & (there < nz)
-        nodes = np.zeros((3, max(nx, ny, nz)))
+        nodes = np.zeros((3, -(-max(nx, ny, nz) // LANES) * LANES))
         for axis, values in enumerate(axes):
             nodes[axis, : values.size] = values
         return cls(

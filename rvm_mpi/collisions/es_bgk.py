@@ -15,7 +15,7 @@ import numpy as np
 
 from rvm_mpi.kernels import part
 from rvm_mpi.kinetic.conservation import about_origin, solve
-from rvm_mpi.simd import exponential, load, splat, store, total, where_positive
+from rvm_mpi.simd import exponential, leading, load, minimum, splat, store, total, where_positive
 from rvm_mpi.velocity import VALID, Y, Z
 
 #: relative mismatch of the ten moments at which Newton's iteration rests
@@ -23,6 +23,8 @@ TOLERANCE = 2e-13
 #: mismatch from which another step is not needed where it no longer falls
 ACCEPTED = 1e-11
 NEWTON_STEPS = 40
+#: error of an axis's mean and variance from which one more step is the last
+LAST_STEP = 3e-8
 #: room above the smallest variance, in units of h^2, that keeps Newton's matrix well conditioned
 ROOM = 0.01
 
@@ -88,23 +90,26 @@ def fit_axis(nodes, count, mean, variance, result):  # type: ignore[no-untyped-d
         b = (math.log(above / below) + 4.0 * a * h * off_node) / (2.0 * h)
     result[0], result[1], result[2] = a, b, 1.0
     smallest = math.inf
+    thermal = math.sqrt(variance)
+    zero = splat(0.0)
     for _ in range(12):
-        m0, m1, m2, m3, m4 = 0.0, 0.0, 0.0, 0.0, 0.0
-        for j in range(count):
-            s = nodes[j] - mean
-            w = math.exp(min(s * (b + a * s), 600.0))
-            m0 += w
-            w *= s
-            m1 += w
-            w *= s
-            m2 += w
-            w *= s
-            m3 += w
-            m4 += w * s
+        w0, w1, w2, w3, w4 = zero, zero, zero, zero, zero
+        for j in range(0, count, 8):
+            s = load(nodes, j) - splat(mean)
+            w = leading(exponential(minimum(s * (s * a + splat(b)), splat(600.0))), count - j)
+            w0 = w0 + w
+            w = w * s
+            w1 = w1 + w
+            w = w * s
+            w2 = w2 + w
+            w = w * s
+            w3 = w3 + w
+            w4 = w4 + w * s
+        m0, m1, m2, m3, m4 = total(w0), total(w1), total(w2), total(w3), total(w4)
         if not (m0 > 0.0 and m0 < 1e300):
             return
         m1, m2, m3, m4 = m1 / m0, m2 / m0, m3 / m0, m4 / m0
-        off = abs(m1) / math.sqrt(variance) + abs(m2 / variance - 1.0)
+        off = abs(m1) / thermal + abs(m2 / variance - 1.0)
         if off < smallest:
             smallest = off
             result[0], result[1], result[2] = a, b, m0
@@ -117,10 +122,15 @@ def fit_axis(nodes, count, mean, variance, result):  # type: ignore[no-untyped-d
             return
         r1, r2 = -m1, variance - m2
         da = (c11 * r2 - c12 * r1) / det
+        db = (c22 * r1 - c12 * r2) / det
+        if off < LAST_STEP:
+            # this step leaves an error of order off^2: no need to look again
+            result[0], result[1], result[2] = a + da, b + db, m0 * (1.0 + m1 * db + m2 * da)
+            return
         limit = 0.5 * max(abs(a), 0.5 / variance)
         shorter = 1.0 if abs(da) <= limit else limit / abs(da)
         a += shorter * da
-        b += shorter * (c22 * r1 - c12 * r2) / det
+        b += shorter * db
 
 
 @part

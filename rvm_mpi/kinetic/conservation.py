@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 
 from rvm_mpi.kernels import part
-from rvm_mpi.simd import exponential, load, splat, store, total
+from rvm_mpi.simd import exponential, first_lane, load, splat, spread, store, total
 from rvm_mpi.velocity import Y, Z
 
 #: sums kept of a block: 1, x, y, z, xx, xy, xz, yy, yz, zz, x|xi|^2, y|xi|^2, z|xi|^2, |xi|^4
@@ -66,11 +66,36 @@ def factor_tables(coefficients, centre, points_x, slab_size, x, slab, factor_x, 
     c0, cx, cy, cz, c2 = coefficients[0], coefficients[1], coefficients[2], coefficients[3], coefficients[4]
     for k in range(points_x):
         s = x[k] - centre[0]
-        factor_x[k] = math.exp(s * (cx + c2 * s))
+        factor_x[k] = first_lane(exponential(splat(s * (cx + c2 * s))))
     for n in range(0, slab_size, 8):
         y = load(slab, Y * slab_size + n) - splat(centre[1])
         z = load(slab, Z * slab_size + n) - splat(centre[2])
         store(factor_slab, n, exponential(y * (y * c2 + splat(cy)) + z * (z * c2 + splat(cz)) + splat(c0)))
+
+
+@part
+def _add_planes(planes, f, y, z, a0, a1, a2, a3, a4):  # type: ignore[no-untyped-def]
+    """Add to the sums of `weighted_sums` those of f at (y, z), from its sums times x^0 to x^4."""
+    m0, mx, my, mz, xx, xy, xz, yy, yz, zz, x3, y3, z3, m4 = planes
+    fy, fz = f * y, f * z
+    square = y * y + z * z
+    radial = a2 + square * a0
+    return (
+        m0 + f * a0,
+        mx + f * a1,
+        my + fy * a0,
+        mz + fz * a0,
+        xx + f * a2,
+        xy + fy * a1,
+        xz + fz * a1,
+        yy + fy * y * a0,
+        yz + fy * z * a0,
+        zz + fz * z * a0,
+        x3 + f * (a3 + square * a1),
+        y3 + fy * radial,
+        z3 + fz * radial,
+        m4 + f * (a4 + square * (a2 + radial)),
+    )
 
 
 @part
@@ -86,38 +111,25 @@ def weighted_sums(block, centre, points_x, slab_size, x, slab, factor_x, factor_
             powers[5 * k + p] = f
             f = f * s
     zero = splat(0.0)
-    m0, mx, my, mz = zero, zero, zero, zero
-    xx, xy, xz, yy, yz, zz = zero, zero, zero, zero, zero, zero
-    x3, y3, z3, m4 = zero, zero, zero, zero
-    for n in range(0, slab_size, 8):
+    planes = (zero, zero, zero, zero, zero, zero, zero, zero, zero, zero, zero, zero, zero, zero)
+    # two vectors of the plane at a time, for the processor to work on one while the sums of the other are on their way;
+    # where their number is odd the last one is paired with itself, once without weight
+    for n in range(0, slab_size, 16):
+        m = min(n + 8, slab_size - 8)
         a0, a1, a2, a3, a4 = zero, zero, zero, zero, zero
+        b0, b1, b2, b3, b4 = zero, zero, zero, zero, zero
         for k in range(points_x):
-            b = load(block, k * slab_size + n)
-            a0 = a0 + b * powers[5 * k]
-            a1 = a1 + b * powers[5 * k + 1]
-            a2 = a2 + b * powers[5 * k + 2]
-            a3 = a3 + b * powers[5 * k + 3]
-            a4 = a4 + b * powers[5 * k + 4]
-        f = load(factor_slab, n)
-        y = load(slab, Y * slab_size + n) - splat(centre[1])
-        z = load(slab, Z * slab_size + n) - splat(centre[2])
-        fy, fz = f * y, f * z
-        square = y * y + z * z
-        m0 = m0 + f * a0
-        mx = mx + f * a1
-        my = my + fy * a0
-        mz = mz + fz * a0
-        xx = xx + f * a2
-        xy = xy + fy * a1
-        xz = xz + fz * a1
-        yy = yy + fy * y * a0
-        yz = yz + fy * z * a0
-        zz = zz + fz * z * a0
-        x3 = x3 + f * (a3 + square * a1)
-        radial = a2 + square * a0
-        y3 = y3 + fy * radial
-        z3 = z3 + fz * radial
-        m4 = m4 + f * (a4 + square * (a2 + radial))
+            a, b = load(block, k * slab_size + n), load(block, k * slab_size + m)
+            a0, b0 = a0 + a * spread(powers, 5 * k), b0 + b * spread(powers, 5 * k)
+            a1, b1 = a1 + a * spread(powers, 5 * k + 1), b1 + b * spread(powers, 5 * k + 1)
+            a2, b2 = a2 + a * spread(powers, 5 * k + 2), b2 + b * spread(powers, 5 * k + 2)
+            a3, b3 = a3 + a * spread(powers, 5 * k + 3), b3 + b * spread(powers, 5 * k + 3)
+            a4, b4 = a4 + a * spread(powers, 5 * k + 4), b4 + b * spread(powers, 5 * k + 4)
+        y, z = load(slab, Y * slab_size + n) - splat(centre[1]), load(slab, Z * slab_size + n) - splat(centre[2])
+        planes = _add_planes(planes, load(factor_slab, n), y, z, a0, a1, a2, a3, a4)
+        y, z = load(slab, Y * slab_size + m) - splat(centre[1]), load(slab, Z * slab_size + m) - splat(centre[2])
+        planes = _add_planes(planes, load(factor_slab, m) * (1.0 if m > n else 0.0), y, z, b0, b1, b2, b3, b4)
+    m0, mx, my, mz, xx, xy, xz, yy, yz, zz, x3, y3, z3, m4 = planes
     sums[0], sums[1], sums[2], sums[3] = total(m0), total(mx), total(my), total(mz)
     sums[4], sums[5], sums[6] = total(xx), total(xy), total(xz)
     sums[7], sums[8], sums[9] = total(yy), total(yz), total(zz)

@@ -11,18 +11,30 @@ sign), so that heat flux and fourth cumulant of a smooth g are hardly touched by
 
 from __future__ import annotations
 
+import math
 from math import comb
 
 import numpy as np
 
 from rvm_mpi.kernels import part
-from rvm_mpi.simd import load, maximum, shifted, splat, store, upwind, van_leer3, where_positive
-from rvm_mpi.velocity import TAPS, Y_FACE, Y_OPEN, Y_SLOPE, Z_FACE, Z_OPEN, Z_SLOPE, Z_TAPS, Y, Z
+from rvm_mpi.simd import (
+    LEAST,
+    load,
+    maximum,
+    prefetch,
+    shifted,
+    splat,
+    store,
+    upwind,
+    van_leer3,
+    where_positive,
+)
+from rvm_mpi.velocity import TAPS, Y_FACE, Y_LEAST, Y_OPEN, Z_FACE, Z_LEAST, Z_OPEN, Z_TAPS, Y, Z
 
 #: order of the linear reconstructions by their name in the job file
 ORDERS = {"kappa": 3, "seventh-order": 7}
 #: rows of a slab that `scratch` holds
-SCRATCH_ROWS = 6
+SCRATCH_ROWS = 9
 
 
 def scratch_size(points_z: int, slab_size: int) -> int:
@@ -93,10 +105,19 @@ def update(g, cell, grid, rates, old, weight_old, weight_new, dt, scratch, resul
     row = slab_size + 2 * guard
     slope_x, slope_y, slope_z = guard, row + guard, 2 * row + guard
     through_x, through_y, slope_next = 3 * row + guard, 4 * row + guard, 5 * row + guard
+    turns, speeds_y, speeds_z = 6 * row + guard, 7 * row + guard, 8 * row + guard
     a, rising_x, falling_x, rising_y, falling_y = turning_rates(rates)
     per_x, per_y, per_z, push_x, push_y, push_z = pushes(rates)
     zero = splat(0.0)
+    # the part of the faces' speeds in y and z (over h) that is the same for every xi_x
     for n in range(0, slab_size, 8):
+        y, yf = load(slab, Y * slab_size + n), load(slab, Y_FACE * slab_size + n)
+        zf = load(slab, Z_FACE * slab_size + n)
+        turn = y * where_positive(y, rising_y, falling_y)
+        store(scratch, turns + n, turn)
+        turn_yf = yf * yf * where_positive(yf, rising_y, falling_y)
+        store(scratch, speeds_y + n, load(slab, Y_OPEN * slab_size + n) * push_y - turn_yf * per_y)
+        store(scratch, speeds_z + n, load(slab, Z_OPEN * slab_size + n) * push_z - zf * turn * per_z)
         store(scratch, slope_x + n, zero)
         store(scratch, through_x + n, zero)
     has_y, has_z = points_y > 1, points_z > 1
@@ -106,60 +127,53 @@ def update(g, cell, grid, rates, old, weight_old, weight_new, dt, scratch, resul
         at = k * slab_size
         xk, xf = x[k], x_face[k]
         along = a + (rising_x if xk > 0.0 else falling_x) * xk
+        along_y, along_z = -along * per_y, -along * per_z
         inside = 1.0 if k < points_x - 1 else 0.0
-        sloped = 1.0 if k < points_x - 2 else 0.0
+        least_x = splat(LEAST if k < points_x - 2 else math.inf)
         sx0 = inside * per_x * (-(a + (rising_x if xf > 0.0 else falling_x) * xf) * xf) + inside * push_x
         sx1 = -inside * per_x * xf
         # slopes: of the next slab along x, of this one along y and z
         for n in range(0, slab_size, 8):
+            prefetch(old, cell + grid.block + at + n)
             c = load(g, base + n)
             next_x = load(g, base + slab_size + n)
             step, ahead = next_x - c, load(g, base + 2 * slab_size + n) - next_x
             down_y, up_y = c - load(g, base + n - points_z), load(g, base + n + points_z) - c
             down_z, up_z = c - load(g, base + n - 1), load(g, base + n + 1) - c
-            bend_x, bend_y, bend_z = van_leer3(step, ahead, down_y, up_y, down_z, up_z)
-            store(scratch, slope_next + n, bend_x * sloped)
-            store(scratch, slope_y + n, bend_y * load(slab, Y_SLOPE * slab_size + n))
-            store(scratch, slope_z + n, bend_z * load(slab, Z_SLOPE * slab_size + n))
+            least_y, least_z = load(slab, Y_LEAST * slab_size + n), load(slab, Z_LEAST * slab_size + n)
+            bend_x, bend_y, bend_z = van_leer3(step, ahead, least_x, down_y, up_y, least_y, down_z, up_z, least_z)
+            store(scratch, slope_next + n, bend_x)
+            store(scratch, slope_y + n, bend_y)
+            store(scratch, slope_z + n, bend_z)
         before_z = zero
         for n in range(0, slab_size, 8):
             c = load(g, base + n)
-            y = load(slab, Y * slab_size + n)
             r = load(result, at + n)
 
-            up = load(g, base + slab_size + n)
-            left, right = load(scratch, slope_x + n), load(scratch, slope_next + n)
-            left, right = c + left, up - right
-            turn_y = y * where_positive(y, rising_y, falling_y)
-            f = upwind(turn_y * sx1 + splat(sx0), left, right)
+            s = load(scratch, turns + n) * sx1 + splat(sx0)
+            left = c + load(scratch, slope_x + n)
+            right = load(g, base + slab_size + n) - load(scratch, slope_next + n)
+            f = upwind(s, left, right)
             r = r + (load(scratch, through_x + n) - f)
             store(scratch, through_x + n, f)
 
             if has_y:
-                yf = load(slab, Y_FACE * slab_size + n)
-                s = yf * (splat(-along) - yf * where_positive(yf, rising_y, falling_y)) * per_y + splat(push_y)
-                s = s * load(slab, Y_OPEN * slab_size + n)
-                up = load(g, base + n + points_z)
-                left, right = load(scratch, slope_y + n), load(scratch, slope_y + n + points_z)
-                left, right = c + left, up - right
+                s = load(slab, Y_FACE * slab_size + n) * along_y + load(scratch, speeds_y + n)
+                left = c + load(scratch, slope_y + n)
+                right = load(g, base + n + points_z) - load(scratch, slope_y + n + points_z)
                 f = upwind(s, left, right)
                 store(scratch, through_y + n, f)
                 r = r + (load(scratch, through_y + n - points_z) - f)
             if has_z:
-                zf = load(slab, Z_FACE * slab_size + n)
-                s = zf * (splat(-along) - turn_y) * per_z + splat(push_z)
-                s = s * load(slab, Z_OPEN * slab_size + n)
-                up = load(g, base + n + 1)
-                left, right = load(scratch, slope_z + n), load(scratch, slope_z + n + 1)
-                left, right = c + left, up - right
+                s = load(slab, Z_FACE * slab_size + n) * along_z + load(scratch, speeds_z + n)
+                left = c + load(scratch, slope_z + n)
+                right = load(g, base + n + 1) - load(scratch, slope_z + n + 1)
                 f = upwind(s, left, right)
                 r = r + (shifted(before_z, f) - f)
                 before_z = f
-            r = c + r * dt
+            r = (c + r * dt) * weight_new
             if mix_old:
-                r = r * weight_new + load(old, cell + at + n) * weight_old
-            else:
-                r = r * weight_new
+                r = r + load(old, cell + at + n) * weight_old
             store(result, at + n, r)
         slope_x, slope_next = slope_next, slope_x
 

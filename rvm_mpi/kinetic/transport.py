@@ -9,8 +9,11 @@ together.
 from __future__ import annotations
 
 from rvm_mpi.kernels import part
-from rvm_mpi.simd import load, prefetch, splat, store, total, van_leer, where_positive
+from rvm_mpi.simd import load, prefetch, splat, store, total, van_leer, van_leer_newton, where_positive
 from rvm_mpi.velocity import Y, Z
+
+#: nodes of a slab whose face values are kept at a time, few enough for the nearest cache
+PIECE = 128
 
 
 @part
@@ -30,6 +33,7 @@ def upper_fluxes(  # type: ignore[no-untyped-def]
     west,
     south,
     south_at,
+    faces,
     change,
     moments_x,
     moments_y,
@@ -50,6 +54,8 @@ def upper_fluxes(  # type: ignore[no-untyped-def]
     west, south : arrays
         Fluxes through the lower faces, `south` from the offset `south_at`; overwritten with those through the upper
         ones, the next cells' lower faces.
+    faces : (2 PIECE,) array
+        Work space.
     change : (block,) array
         Receives what enters minus what leaves.
     moments_x, moments_y : (5,) arrays
@@ -76,45 +82,51 @@ def upper_fluxes(  # type: ignore[no-untyped-def]
             here_x, behind_x, ahead_x = base + along_x, base + 2 * along_x, base
         s0, sy, sz, s2 = zero, zero, zero, zero
         q0, q1, qy, qz, q2, q3 = zero, zero, zero, zero, zero, zero
-        for n in range(0, slab_size, 8):
-            prefetch(g, base + 3 * along_x + n)
-            prefetch(g, base + 2 * along_y + along_x + n)
-            y = load(slab, Y * slab_size + n)
-            z = load(slab, Z * slab_size + n)
-            u = load(g, here_x + n)
-            if n >= below:
-                v, behind, ahead = load(g, base + n), load(g, base - along_y + n), load(g, base + along_y + n)
-            elif n + 8 <= below:
-                v, behind, ahead = (
-                    load(g, base + along_y + n),
-                    load(g, base + 2 * along_y + n),
-                    load(g, base + n),
-                )
-            else:
-                down, up = load(g, base + n), load(g, base + along_y + n)
-                v, ahead = where_positive(y, down, up), where_positive(y, up, down)
-                behind = where_positive(y, load(g, base - along_y + n), load(g, base + 2 * along_y + n))
-            # a division each: the bits of a face's flux must depend on the cells across that face alone
-            f = (u + van_leer(u - load(g, behind_x + n), load(g, ahead_x + n) - u)) * rate
-            omega_y = where_positive(y, splat(omegas[2]), splat(omegas[3]))
-            h = (v + van_leer(v - behind, ahead - v)) * (y * omega_y * per_dy)
-            difference = (load(west, at + n) - f) + (load(south, south_at + at + n) - h)
-            store(west, at + n, f)
-            store(south, south_at + at + n, h)
-            store(change, at + n, difference)
-            square = y * y + z * z
-            s0 = s0 + f
-            sy = sy + f * y
-            sz = sz + f * z
-            s2 = s2 + f * square
-            momentum = h * omega_y
-            energy = momentum * omega_y
-            q0 = q0 + h
-            q1 = q1 + momentum
-            qy = qy + momentum * y
-            qz = qz + momentum * z
-            q2 = q2 + energy * square
-            q3 = q3 + energy
+        for begin in range(0, slab_size, PIECE):
+            end = min(begin + PIECE, slab_size)
+            # the values on the faces first: a slope is long in coming, and so more of them are under way at a time
+            for n in range(begin, end, 8):
+                prefetch(g, base + 3 * along_x + n)
+                prefetch(g, base + 2 * along_y + along_x + n)
+                u = load(g, here_x + n)
+                if n >= below:
+                    v, behind, ahead = load(g, base + n), load(g, base - along_y + n), load(g, base + along_y + n)
+                elif n + 8 <= below:
+                    v, behind, ahead = (
+                        load(g, base + along_y + n),
+                        load(g, base + 2 * along_y + n),
+                        load(g, base + n),
+                    )
+                else:
+                    y = load(slab, Y * slab_size + n)
+                    down, up = load(g, base + n), load(g, base + along_y + n)
+                    v, ahead = where_positive(y, down, up), where_positive(y, up, down)
+                    behind = where_positive(y, load(g, base - along_y + n), load(g, base + 2 * along_y + n))
+                store(faces, n - begin, u + van_leer(u - load(g, behind_x + n), load(g, ahead_x + n) - u))
+                store(faces, PIECE + n - begin, v + van_leer_newton(v - behind, ahead - v))
+            for n in range(begin, end, 8):
+                y = load(slab, Y * slab_size + n)
+                z = load(slab, Z * slab_size + n)
+                f = load(faces, n - begin) * rate
+                omega_y = where_positive(y, splat(omegas[2]), splat(omegas[3]))
+                h = load(faces, PIECE + n - begin) * (y * omega_y * per_dy)
+                difference = (load(west, at + n) - f) + (load(south, south_at + at + n) - h)
+                store(west, at + n, f)
+                store(south, south_at + at + n, h)
+                store(change, at + n, difference)
+                square = y * y + z * z
+                s0 = s0 + f
+                sy = sy + f * y
+                sz = sz + f * z
+                s2 = s2 + f * square
+                momentum = h * omega_y
+                energy = momentum * omega_y
+                q0 = q0 + h
+                q1 = q1 + momentum
+                qy = qy + momentum * y
+                qz = qz + momentum * z
+                q2 = q2 + energy * square
+                q3 = q3 + energy
         m0, mx, my, mz = m0 + s0, mx + s0 * (omega * xk), my + sy * omega, mz + sz * omega
         m2 = m2 + (s2 + s0 * (xk * xk)) * (omega * omega)
         p0, px, py, pz, p2 = p0 + q0, px + q1 * xk, py + qy, pz + qz, p2 + (q2 + q3 * (xk * xk))

@@ -8,6 +8,7 @@ from numpy_twins import SHAPES, make_grid, nodes, pack, random_g, ten_sums
 
 from rvm_mpi import velocity
 from rvm_mpi.moments import fields, sums_about
+from rvm_mpi.simd import LEAST
 from rvm_mpi.stage import Space, kernel_grid
 
 SETTINGS = settings(max_examples=40, deadline=None)
@@ -26,17 +27,21 @@ def test_velocity_grid(points):
     np.testing.assert_allclose(slab[velocity.Y], y[0], atol=1e-14)
     np.testing.assert_allclose(slab[velocity.Z], z[0], atol=1e-14)
     np.testing.assert_allclose(grid.x_face, grid.x + 0.5 * grid.spacing[0], atol=1e-14)
-    np.testing.assert_allclose(slab[velocity.Y_FACE], y[0] + 0.5 * grid.spacing[1] * (grid.points[1] > 1), atol=0.51)
     for row, axis in ((velocity.Y_OPEN, 0), (velocity.Z_OPEN, 1)):
         index = np.indices(grid.points[1:])[axis]
         np.testing.assert_array_equal(slab[row], index < grid.points[1 + axis] - 1)
-    for row, axis in ((velocity.Y_SLOPE, 0), (velocity.Z_SLOPE, 1)):
+    for row, axis, node in ((velocity.Y_FACE, 0, y[0]), (velocity.Z_FACE, 1, z[0])):
+        inside = np.indices(grid.points[1:])[axis] < grid.points[1 + axis] - 1
+        np.testing.assert_allclose(slab[row], (node + 0.5 * grid.spacing[1 + axis]) * inside, atol=1e-14)
+    for row, axis in ((velocity.Y_LEAST, 0), (velocity.Z_LEAST, 1)):
         index = np.indices(grid.points[1:])[axis]
-        np.testing.assert_array_equal(slab[row], (index > 0) & (index < grid.points[1 + axis] - 1))
+        inner = (index > 0) & (index < grid.points[1 + axis] - 1)
+        np.testing.assert_array_equal(slab[row], np.where(inner, LEAST, np.inf))
+        assert np.all(grid.slab[row, grid.slab_points :] == np.inf)
     at_end = [(np.indices(grid.points[1:])[q] % max(n - 1, 1) == 0) & (n > 1) for q, n in enumerate(grid.points[1:])]
     np.testing.assert_array_equal(slab[velocity.EDGE], at_end[0] | at_end[1])
     np.testing.assert_allclose(slab[velocity.SPEED2], y[0] ** 2 + z[0] ** 2, rtol=1e-14)
-    for row in (velocity.Y, velocity.Z, velocity.VALID, velocity.Y_OPEN, velocity.Z_OPEN, velocity.Y_SLOPE):
+    for row in (velocity.Y, velocity.Z, velocity.VALID, velocity.Y_OPEN, velocity.Z_OPEN, velocity.Y_FACE):
         assert not grid.slab[row, grid.slab_points :].any()
     assert not grid.slab[velocity.EDGE, grid.slab_points :].any()
     assert np.all(slab[velocity.VALID] == 1.0)

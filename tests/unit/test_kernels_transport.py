@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy_twins import SHAPES, five_sums, laid_out, make_grid, nodes, random_g, signed, upwinded
 
-from rvm_mpi.kinetic.transport import upper_fluxes
+from rvm_mpi.kinetic.transport import PIECE, upper_fluxes
 from rvm_mpi.stage import kernel_grid
 
 SETTINGS = settings(max_examples=40, deadline=None)
@@ -45,7 +45,7 @@ def run_upper(grid, cells, rng, omegas, per_dx, per_dy, west, south, two):
     change, mx, my = np.empty(grid.block), np.empty(5), np.empty(5)
     upper_fluxes(
         flat, cell, grid.block, row if two else 0, grid.points[0], grid.slab_size, kernel.below, kernel.x,
-        kernel.slab, omegas, per_dx, per_dy, west, south, grid.block, change, mx, my,
+        kernel.slab, omegas, per_dx, per_dy, west, south, grid.block, np.empty(2 * PIECE), change, mx, my,
     )  # fmt: skip
     return change, mx, my
 

@@ -13,7 +13,7 @@ from rvm_mpi.domain import aligned
 from rvm_mpi.kernels import kernel
 
 SETTINGS = settings(max_examples=80, deadline=None)
-ROWS = 24
+ROWS = 28
 
 
 @kernel
@@ -31,7 +31,8 @@ def operate(a, b, c, d, e, f, out, number):
     simd.store(out, 56, simd.maximum(va, vb))
     simd.store(out, 64, simd.van_leer(va, vb))
     simd.store(out, 72, simd.shifted(va, vb))
-    one, two, three = simd.van_leer3(va, vb, vc, vd, ve, vf)
+    least = simd.splat(simd.LEAST)
+    one, two, three = simd.van_leer3(va, vb, least, vc, vd, least, ve, vf, least)
     simd.store(out, 88, one)
     simd.store(out, 96, two)
     simd.store(out, 104, three)
@@ -46,6 +47,13 @@ def operate(a, b, c, d, e, f, out, number):
     simd.store(out, 160, odd)
     simd.store(out, 168, low)
     simd.store(out, 176, high)
+    simd.store(out, 184, simd.van_leer_newton(va, vb))
+    one, two, three = simd.van_leer3(va, vb, least, vc, vd, simd.splat(number), ve, vf, simd.splat(math.inf))
+    simd.store(out, 192, two)
+    simd.store(out, 200, three)
+    simd.store(out, 208, simd.spread(a, 3))
+    simd.store(out, 216, simd.leading(va, int(number)))
+    out[145] = simd.first_lane(vb)
     simd.prefetch(a, 0)
     simd.prefetch(a, 10**6)
 
@@ -98,16 +106,36 @@ def test_limited_slopes(v):
     wanted = [half_slope(v[2 * i], v[2 * i + 1]) for i in range(3)]
     # the shared divisions leave out slopes of differences whose product is below 1e-180
     shared = [np.where(v[2 * i] * v[2 * i + 1] > 1e-180, wanted[i], 0.0) for i in range(3)]
-    np.testing.assert_allclose(out[8], wanted[0], rtol=2e-15)
+    for row in (8, 23):
+        np.testing.assert_allclose(out[row], wanted[0], rtol=2e-15)
     for row, expected in enumerate(shared, start=11):
         np.testing.assert_allclose(out[row], expected, rtol=2e-15)
+
+
+@SETTINGS
+@given(v=vectors(sizes(60), 6), least=sizes(60).map(abs))
+def test_slopes_above_a_threshold(v, least):
+    out = results(v, least)
+    product = v[2] * v[3]
+    slope = np.where(product > 1e-180, half_slope(v[2], v[3]), 0.0)
+    np.testing.assert_allclose(out[24], np.where(product > least, slope, 0.0), rtol=2e-15)
+    assert not out[25].any()
+
+
+@settings(max_examples=20, deadline=None)
+@given(v=vectors(sizes(30), 6), count=st.integers(-1, 9))
+def test_lanes(v, count):
+    out = results(v, count)
+    np.testing.assert_array_equal(out[26], np.full(8, v[0][3]))
+    np.testing.assert_array_equal(out[27], np.where(np.arange(8) < count, v[0], 0.0))
+    assert out[18, 1] == v[1][0]
 
 
 def test_slopes_of_extremes_and_plateaus_are_zero():
     zero, up, down = np.zeros(8), np.full(8, 2.0), np.full(8, -3.0)
     for a, b in ((zero, zero), (zero, up), (up, zero), (up, down), (down, up)):
         out = results([a, b, a, b, a, b])
-        assert not out[[8, 11, 12, 13]].any()
+        assert not out[[8, 11, 12, 13, 23]].any()
 
 
 @SETTINGS
