@@ -23,7 +23,7 @@ GRIDS = {
     "24x24x9": ((64, 64), (24, 24, 9)),
     "15x15x15": ((64, 64), (15, 15, 15)),
     "32x32": ((128, 128), (32, 32)),
-    "64": ((16384,), (64,)),
+    "64": ((4096,), (64,)),
 }
 #: a node's share of a stage on a three-dimensional velocity grid, counted by hand in the kernels: fluxes between cells
 #: and their moments 40, drift and update 41, sums over the nodes 12 (twice with the correction), the Gaussian once 11,
