@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from rvm_mpi.job import Job
 
 LIBRARIES = 239e6
-"""Bytes a process holds beside its arrays: Python, numpy, numba, its kernels, PETSc, MPI, HDF5 (benchmarks/memory.py)."""
+"""Bytes a process holds beside its arrays: Python, numba and kernels, PETSc, MPI, HDF5 (benchmarks/memory.py)."""
 SECONDS_PER_CELL = 8e-9
 """Nominal time of one stage for one phase-space cell on one core; `rvm bench` measures a machine's own."""
 SECONDS_PER_STEP = 2e-3
