@@ -21,8 +21,8 @@ from rvm_mpi.states import macroscopic_state
 if TYPE_CHECKING:
     from rvm_mpi.job import Job
 
-LIBRARIES = 225e6
-"""Bytes a process holds before it has any array: Python, numpy, numba and its kernels, PETSc, MPI, HDF5."""
+LIBRARIES = 239e6
+"""Bytes a process holds beside its arrays: Python, numba and kernels, PETSc, MPI, HDF5 (benchmarks/memory.py)."""
 SECONDS_PER_CELL = 8e-9
 """Nominal time of one stage for one phase-space cell on one core; `rvm bench` measures a machine's own."""
 SECONDS_PER_STEP = 2e-3
@@ -191,13 +191,13 @@ class Memory:
     g: float
     """Two ghosted copies of g."""
     fluxes: float
-    """A row of fluxes and the cells in hand."""
+    """A row of fluxes and the blocks in hand."""
     operator: float
     """The Boltzmann operator: its buffers and the rate of g, without the weights."""
     weights: float
     """The Boltzmann operator's weights: once a node, whatever the number of ranks on it."""
     fields: float
-    """Macroscopic fields: moments, omega, the fluid system's stages, what is written."""
+    """Macroscopic fields: moments, omega, the fluid system's stages, what is written; the start of all cells."""
     libraries: float
 
     @property
@@ -214,7 +214,6 @@ def memory(job: Job, ranks: int = 1) -> Memory:
     JobError
         If so many ranks cannot share the cells.
     """
-    d = job.velocity.dimensions
     n_x, n_y = largest_share(job, ranks)
     block = cell_block(job.velocity.points)
 
@@ -223,7 +222,6 @@ def memory(job: Job, ranks: int = 1) -> Memory:
         wy = width if job.space.dimensions == 2 else 0
         return (n_x + 2 * wx) * (n_y + 2 * wy)
 
-    per_cell = 4 * (d + 2) + d * (d + 3) + 20
     operator, weights = 0.0, 0.0
     if job.collision.operator == "boltzmann":
         rows = Rows.create(tuple(job.velocity.points))
@@ -232,10 +230,22 @@ def memory(job: Job, ranks: int = 1) -> Memory:
         operator=operator,
         weights=weights,
         g=2 * 8.0 * ghosted(GHOSTS_OF_G) * block,
-        fluxes=8.0 * (n_x + 4) * block if job.space.dimensions == 2 else 8.0 * 4 * block,
-        fields=8.0 * ghosted(GHOSTS_OF_FLUID) * per_cell,
+        fluxes=8.0 * (n_x + 4) * block,
+        fields=_fields_of_cells(job, n_x * n_y, ghosted(GHOSTS_OF_FLUID)),
         libraries=LIBRARIES,
     )
+
+
+def _fields_of_cells(job: Job, own: int, ghosted: int) -> float:
+    """Bytes of all that has one number or a few in each cell, on a rank with so many cells, ghosts without and with."""
+    d, everywhere = job.velocity.dimensions, prod(job.space.cells)
+    state = 1 + d + d * d  # density, velocity, temperature tensor
+    levels, diagnostics, rates = 3 * 16, 2 * 10, 5
+    snapshot = 2 + 2 * d + d * d
+    fluid = 5 * (d + 2) * ghosted + (d + 2) * own if job.fluid.enabled else 0
+    # the progress line on rank 0 looks at the initial state of the whole grid
+    looked_at = 3 * (1 + d) * everywhere + state * min(everywhere, ROWS_AT_ONCE)
+    return 8.0 * ((levels + diagnostics + rates + snapshot + state) * own + fluid + looked_at)
 
 
 def largest_share(job: Job, ranks: int) -> tuple[int, int]:
