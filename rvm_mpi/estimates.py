@@ -230,7 +230,7 @@ def memory(job: Job, ranks: int = 1) -> Memory:
         operator=operator,
         weights=weights,
         g=2 * 8.0 * ghosted(GHOSTS_OF_G) * block,
-        fluxes=8.0 * (n_x + 4) * block,
+        fluxes=8.0 * (n_x + 7) * block,
         fields=_fields_of_cells(job, n_x * n_y, ghosted(GHOSTS_OF_FLUID)),
         libraries=LIBRARIES,
     )
