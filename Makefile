@@ -17,24 +17,17 @@ help:  ## this list
 install:  ## install what is missing (system packages, then .venv); says what before it does
 	@scripts/install.sh
 
-demo: install .venv/.kernels  ## a short clustering run on 2 ranks and its contour plots, in runs/demo
+demo: install  ## a short clustering run on 2 ranks and its contour plots, in runs/demo
 	$(MPIRUN) .venv/bin/rvm run jobs/demo.toml --output runs/demo --overwrite
 	$(PYTHON) postprocess/contours.py runs/demo
 
-test: lint .venv/.kernels  ## lint and the test suite, except what takes minutes; 1, 2 and 4 ranks where ranks matter
+test: lint  ## lint and the test suite, except what takes minutes; 1, 2 and 4 ranks where ranks matter
 	$(PYTHON) -m pytest -m "not long"
 
-# numba does not notice a change in a module that a kernel calls: start from no cache where any source changed
-.venv/.kernels: $(shell find rvm_mpi -name '*.py') | install
-	@echo "compiling the kernels: about a minute"
-	@find rvm_mpi -name '*.nb?' -delete
-	@.venv/bin/rvm bench --cells 6 6 --velocity 8 8 8 > /dev/null
-	@touch $@
-
-long-tests: lint .venv/.kernels  ## the tests that take minutes or more
+long-tests: lint  ## the tests that take minutes or more
 	$(PYTHON) -m pytest -m long
 
-fault-tests: lint .venv/.kernels  ## kills, full disks, signals, damaged files: the long fault suite with its figures
+fault-tests: lint  ## kills, full disks, signals, damaged files: the long fault suite with its figures
 	$(PYTHON) -m pytest tests/faults
 
 lint:  ## ruff and mypy

@@ -12,19 +12,19 @@ import time
 from pathlib import Path
 
 import numpy as np
-from numba import njit
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from rvm_mpi.collisions.boltzmann import BoltzmannOperator, add_pairs
-from rvm_mpi.simd import KERNEL, splat, store
+from rvm_mpi.kernels import kernel
+from rvm_mpi.simd import splat, store
 
 OPERATIONS = 10
 GRIDS = [(n,) * d for d, sizes in ((1, (16, 32, 64)), (2, (16, 32, 64)), (3, (8, 12, 16))) for n in sizes]
 LARGE = [(24,) * 3, (32,) * 3]
 
 
-@njit(**{**KERNEL, "cache": False})
+@kernel
 def multiply_add(count, out):
     """10 independent chains of fused multiply-adds of eight doubles."""
     x, y = splat(0.999999), splat(1e-7)

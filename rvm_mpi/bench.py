@@ -13,11 +13,11 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from numba import njit
 
 from rvm_mpi.domain import aligned
 from rvm_mpi.job import Job
-from rvm_mpi.simd import KERNEL, load, splat, store, total
+from rvm_mpi.kernels import kernel
+from rvm_mpi.simd import load, splat, store, total
 
 #: doubles of each of the triad's three arrays: far more than a core's share of any cache
 TRIAD_SIZE = 16_000_000
@@ -25,13 +25,13 @@ ROUNDS = 5
 STAGES = 2
 
 
-@njit(**KERNEL)
+@kernel
 def _triad(a, b, c, s):  # type: ignore[no-untyped-def]
     for n in range(0, a.size, 8):
         store(a, n, load(b, n) + load(c, n) * s)
 
 
-@njit(**KERNEL)
+@kernel
 def _multiply_add(rounds, s, result):  # type: ignore[no-untyped-def]
     """Eight chains of fused multiply-adds on whole vectors: 128 operations a round."""
     a, b, c, d = splat(1.0), splat(2.0), splat(3.0), splat(4.0)

@@ -7,6 +7,7 @@ no index has to number the unknowns of the whole phase space.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -21,6 +22,9 @@ _Strip = tuple[slice, slice]
 
 #: a rank needs this many cells in a direction that is split: the widest stencil (WENO5) reaches three cells
 FEWEST_CELLS = 3
+#: in a cell's work: the fluxes of a ghost cell with the strips of both its sides, and what more a border between ranks
+#: costs than one within a rank; strips along x cost what those along y do (docs/scaling.md)
+SIDE, BORDER = 1.0, 0.5
 
 
 def largest_ranks(cells: tuple[int, ...]) -> int:
@@ -32,7 +36,10 @@ def largest_ranks(cells: tuple[int, ...]) -> int:
 
 
 def partition(cells: tuple[int, ...], ranks: int) -> tuple[int, int]:
-    """Ranks along x and y: the split with the fewest cells on the largest rank, then the shortest borders.
+    """Ranks along x and y: the split with the least work for the rank that has most.
+
+    Work is counted in cells: a rank's own, `SIDE` for each along one side in x and one in y, and `BORDER` for each
+    along a border with another rank. Of equals the one with the fewest ranks along x: rows alone take fewer messages.
 
     Parameters
     ----------
@@ -52,36 +59,32 @@ def partition(cells: tuple[int, ...], ranks: int) -> tuple[int, int]:
         If no split leaves every rank at least three cells in each direction that is split.
     """
     nx, ny = (*cells, 1, 1)[:2]
-    best: tuple[tuple[int, int, int], tuple[int, int]] | None = None
-    for px in range(1, ranks + 1):
-        if ranks % px:
-            continue
-        py = ranks // px
-        if (px > 1 and nx // px < FEWEST_CELLS) or (py > 1 and ny // py < FEWEST_CELLS):
-            continue
+
+    def work(split: tuple[int, int]) -> tuple[float, int]:
+        px, py = split
         wide, high = -(-nx // px), -(-ny // py)
         border = (high if px > 1 else 0) + (wide if py > 1 else 0)
-        key = (wide * high, border, px)
-        if best is None or key < best[0]:
-            best = (key, (px, py))
-    if best is None:
-        most = max(n for n in range(1, ranks) if _fits(nx, ny, n))
-        shape = " x ".join(map(str, cells)) if cells else "one cell (no space dimension)"
-        raise JobError(
-            f"{ranks} ranks cannot share {shape}: each needs at least {FEWEST_CELLS} cells in each direction that is "
-            f"split; the largest possible number below is {most}"
-            + (f", the largest of all {largest_ranks(cells)}" if largest_ranks(cells) != most else "")
-        )
-    return best[1]
+        return wide * high + SIDE * (wide + high) + BORDER * border, px
 
-
-def _fits(nx: int, ny: int, ranks: int) -> bool:
-    return any(
-        ranks % px == 0
-        and (px == 1 or nx // px >= FEWEST_CELLS)
-        and (ranks == px or ny // (ranks // px) >= FEWEST_CELLS)
-        for px in range(1, ranks + 1)
+    found = list(_splits(nx, ny, ranks))
+    if found:
+        return min(found, key=work)
+    largest = largest_ranks(cells)
+    most = next(n for n in range(min(ranks - 1, largest), 0, -1) if any(_splits(nx, ny, n)))
+    shape = " x ".join(map(str, cells)) if cells else "one cell (no space dimension)"
+    raise JobError(
+        f"{ranks} ranks cannot share {shape}: each needs at least {FEWEST_CELLS} cells in each direction that is "
+        f"split; the largest possible number below is {most}"
+        + (f", the largest of all {largest}" if largest != most else "")
     )
+
+
+def _splits(nx: int, ny: int, ranks: int) -> Iterator[tuple[int, int]]:
+    """Ranks along x and y in every way that leaves each enough cells in each direction that is split."""
+    for px in range(1, min(ranks, max(1, nx // FEWEST_CELLS)) + 1):
+        py = ranks // px
+        if px * py == ranks and (py == 1 or ny // py >= FEWEST_CELLS):
+            yield px, py
 
 
 @dataclass(frozen=True)
@@ -260,6 +263,14 @@ class Domain:
 
         mine, result = np.array(values, dtype=float), np.empty(len(values))
         self.comm.Allreduce(mine, result, op=MPI.MAX)
+        return [float(v) for v in result]
+
+    def total(self, *counts: float) -> list[float]:
+        """The sum over all ranks of each value; of whole numbers, for which the order does not matter."""
+        if self.size == 1:
+            return [float(v) for v in counts]
+        mine, result = np.array(counts, dtype=float), np.empty(len(counts))
+        self.comm.Allreduce(mine, result)
         return [float(v) for v in result]
 
 

@@ -6,7 +6,7 @@ Estimates look at the initial state alone and say so; nothing here starts MPI.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import ceil, gamma, inf, isfinite, log1p, pi, prod, sqrt
 from typing import TYPE_CHECKING
@@ -21,8 +21,8 @@ from rvm_mpi.states import macroscopic_state
 if TYPE_CHECKING:
     from rvm_mpi.job import Job
 
-LIBRARIES = 225e6
-"""Bytes a process holds before it has any array: Python, numpy, numba and its kernels, PETSc, MPI, HDF5."""
+LIBRARIES = 239e6
+"""Bytes a process holds beside its arrays: Python, numba and kernels, PETSc, MPI, HDF5 (benchmarks/memory.py)."""
 SECONDS_PER_CELL = 8e-9
 """Nominal time of one stage for one phase-space cell on one core; `rvm bench` measures a machine's own."""
 SECONDS_PER_STEP = 2e-3
@@ -33,6 +33,10 @@ OPERATIONS_PER_SECOND = 4e10
 """Nominal speed of that sum on one core: half of the peak of one with AVX-512 (benchmarks/boltzmann.py)."""
 SECONDS_PER_NODE = 8e-9
 """Nominal time of that operator's transforms and of its packing, a velocity node."""
+DRIFT_SHARES = (1.0, 0.25, 0.0625)
+"""Shares of the drift's rate that a step may be made for; what a cell has beyond, it takes in pieces."""
+PIECE = 0.3
+"""Time of a piece of the drift over that of a cell's stage."""
 STAGES = 2
 GHOSTS_OF_G = 2
 GHOSTS_OF_FLUID = 3
@@ -187,13 +191,13 @@ class Memory:
     g: float
     """Two ghosted copies of g."""
     fluxes: float
-    """A row of fluxes and the cells in hand."""
+    """A row of fluxes and the blocks in hand."""
     operator: float
     """The Boltzmann operator: its buffers and the rate of g, without the weights."""
     weights: float
     """The Boltzmann operator's weights: once a node, whatever the number of ranks on it."""
     fields: float
-    """Macroscopic fields: moments, omega, the fluid system's stages, what is written."""
+    """Macroscopic fields: moments, omega, the fluid system's stages, what is written; the start of all cells."""
     libraries: float
 
     @property
@@ -210,7 +214,6 @@ def memory(job: Job, ranks: int = 1) -> Memory:
     JobError
         If so many ranks cannot share the cells.
     """
-    d = job.velocity.dimensions
     n_x, n_y = largest_share(job, ranks)
     block = cell_block(job.velocity.points)
 
@@ -219,7 +222,6 @@ def memory(job: Job, ranks: int = 1) -> Memory:
         wy = width if job.space.dimensions == 2 else 0
         return (n_x + 2 * wx) * (n_y + 2 * wy)
 
-    per_cell = 4 * (d + 2) + d * (d + 3) + 20
     operator, weights = 0.0, 0.0
     if job.collision.operator == "boltzmann":
         rows = Rows.create(tuple(job.velocity.points))
@@ -228,10 +230,22 @@ def memory(job: Job, ranks: int = 1) -> Memory:
         operator=operator,
         weights=weights,
         g=2 * 8.0 * ghosted(GHOSTS_OF_G) * block,
-        fluxes=8.0 * (n_x + 4) * block if job.space.dimensions == 2 else 8.0 * 4 * block,
-        fields=8.0 * ghosted(GHOSTS_OF_FLUID) * per_cell,
+        fluxes=8.0 * (n_x + 7) * block,
+        fields=_fields_of_cells(job, n_x * n_y, ghosted(GHOSTS_OF_FLUID)),
         libraries=LIBRARIES,
     )
+
+
+def _fields_of_cells(job: Job, own: int, ghosted: int) -> float:
+    """Bytes of all that has one number or a few in each cell, on a rank with so many cells, ghosts without and with."""
+    d, everywhere = job.velocity.dimensions, prod(job.space.cells)
+    state = 1 + d + d * d  # density, velocity, temperature tensor
+    levels, diagnostics, rates = 3 * 16, 2 * 10, 5
+    snapshot = 2 + 2 * d + d * d
+    fluid = 5 * (d + 2) * ghosted + (d + 2) * own if job.fluid.enabled else 0
+    # the progress line on rank 0 looks at the initial state of the whole grid
+    looked_at = 3 * (1 + d) * everywhere + state * min(everywhere, ROWS_AT_ONCE)
+    return 8.0 * ((levels + diagnostics + rates + snapshot + state) * own + fluid + looked_at)
 
 
 def largest_share(job: Job, ranks: int) -> tuple[int, int]:
@@ -298,7 +312,7 @@ class FirstStep:
 
 
 def first_step(job: Job) -> FirstStep:
-    """The first step: dt = cfl / max over cells of sum omega V / dx + sum |a| / h, and the other limits.
+    """The first step: dt = cfl / max over cells of sum omega V / dx + share sum |a| / h, and the other limits.
 
     a takes grad omega from differences of neighbouring cells. d_t omega cancels the cooling's drag; what
     streams in from the neighbours adds to it in the kinetic scaling.
@@ -331,15 +345,18 @@ def first_step(job: Job) -> FirstStep:
         limits = {"time.dt": job.time.dt}
         later = job.time.dt
     else:
-        rate = float((transport + drift).max())
-        worst = np.unravel_index(np.argmax(transport + drift), drift.shape)
-        mostly = "transport in space" if transport[worst] >= drift[worst] else "drift in velocity"
+        rates = [float((transport + share * drift).max()) for share in DRIFT_SHARES]
+        pieces = [pieces_of_drift(transport, drift, rate) for rate in rates]
+        chosen = cheapest_share(rates, pieces, drift.size)
+        rate, share = rates[chosen], DRIFT_SHARES[chosen]
+        worst = np.unravel_index(np.argmax(transport + share * drift), drift.shape)
+        mostly = "transport in space" if transport[worst] >= share * drift[worst] else "drift in velocity"
         limits[f"time.cfl, mostly {mostly}"] = job.time.cfl / rate if rate > 0 else inf
         limits["cooling (a tenth of the energy a step)"] = 0.1 / cooling if cooling > 0 else inf
         limits["collisions, taken explicitly"] = 1 / collisions if collisions > 0 else inf
         if job.fluid.enabled:
             limits["the fluid system's waves"] = 0.5 / fluid if fluid > 0 else inf
-        lasting = float((transport + drag).max())
+        lasting = float((transport + share * drag).max())
         later = min(job.time.cfl / lasting if lasting > 0 else inf, *list(limits.values())[2:], job.time.end)
     limit = min(limits, key=limits.__getitem__)
     return FirstStep(
@@ -351,6 +368,24 @@ def first_step(job: Job) -> FirstStep:
         cooling_rate=cooling,
         later=later,
     )
+
+
+def pieces_of_drift(transport: np.ndarray, drift: np.ndarray, rate: float) -> float:
+    """Sum over cells of the pieces that their drift is taken in, with a step of one Courant number over `rate`.
+
+    transport, drift: sums of max|a|/h over the directions of space and of velocity, in arrays of any shape.
+    """
+    if not rate > 0.0:
+        return 0.0
+    return float(np.where(transport + drift > rate, np.ceil(drift / rate), 0.0).sum())
+
+
+def cheapest_share(rates: Sequence[float], pieces: Sequence[float], cells: int) -> int:
+    """Which of `DRIFT_SHARES` to make the step for: a long one costs more, for what it takes in pieces.
+
+    rates, pieces: for each share, the largest rate over all cells and the sum of their pieces with it.
+    """
+    return int(np.argmin([rate * (cells + PIECE * count) for rate, count in zip(rates, pieces, strict=True)]))
 
 
 def _growth(job: Job, start: StartFields) -> np.ndarray:

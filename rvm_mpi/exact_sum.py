@@ -12,7 +12,8 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import njit
+
+from rvm_mpi.kernels import kernel
 
 if TYPE_CHECKING:
     from mpi4py import MPI
@@ -25,7 +26,7 @@ MOST_TERMS = 2**30
 _UNIT = 1 << 1074
 
 
-@njit(cache=True, error_model="numpy", fastmath={"contract", "nsz"})
+@kernel
 def _accumulate(bits, limbs, first):
     """Add the columns of float64 values, given as their bit patterns, to the rows `limbs[first:]`.
 
@@ -62,7 +63,7 @@ def _accumulate(bits, limbs, first):
             limbs[first + q, limb + 2] += part2
 
 
-@njit(cache=True, error_model="numpy", fastmath={"contract", "nsz"})
+@kernel
 def _carry(limbs):
     """Bring all limbs but the topmost into [0, 2^32); the topmost keeps the sign (two's complement)."""
     for q in range(limbs.shape[0]):

@@ -5,15 +5,13 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
 
+from rvm_mpi.kernels import kernel
 from rvm_mpi.kinetic.conservation import SUMS, weighted_sums
-from rvm_mpi.simd import KERNEL
 
 
-@njit(**KERNEL)
+@kernel
 def _sums_about(g, space, grid, centres, powers, ones_x, ones_slab, result):  # type: ignore[no-untyped-def]
-    out = np.zeros(SUMS)
     row = (space.nx + 2 * space.wx) * grid.block
     for j in range(space.ny):
         for i in range(space.nx):
@@ -28,10 +26,8 @@ def _sums_about(g, space, grid, centres, powers, ones_x, ones_slab, result):  # 
                 ones_x,
                 ones_slab,
                 powers,
-                out,
+                result[j, i],
             )
-            for q in range(SUMS):
-                result[j, i, q] = out[q]
 
 
 def sums_about(g: np.ndarray, space: Any, grid: Any, centres: np.ndarray) -> np.ndarray:

@@ -17,25 +17,16 @@ from collections.abc import Callable
 from typing import Any
 
 from llvmlite import ir
-from numba import njit
 from numba.core import cgutils, types
-from numba.extending import intrinsic, models, overload, register_model
+from numba.core.typing.templates import AbstractTemplate, infer_global
+from numba.extending import intrinsic, lower_builtin, models, register_model
 from numba.np.arrayobj import make_array
+
+from rvm_mpi.kernels import part
 
 LANES = 8
 #: smallest product of two differences that `van_leer3` makes a slope of
 LEAST = 1e-180
-#: options shared by every kernel of the package; forceinline: a kernel brings all it calls with it. A function that
-#: several compiled kernels share would otherwise be taken from the one loaded first, and as each is optimised by itself
-#: the last bits would depend on whether kernels were just compiled or came from the cache
-KERNEL: dict[str, Any] = {
-    "cache": True,
-    "error_model": "numpy",
-    "fastmath": {"contract", "nsz"},
-    "nogil": True,
-    "forceinline": True,
-}
-
 _DOUBLE = ir.DoubleType()
 _VECTOR = ir.VectorType(_DOUBLE, LANES)
 _INTS = ir.VectorType(ir.IntType(64), LANES)
@@ -183,27 +174,36 @@ def _select(builder: Any, comparison: str, a: Any, b: Any) -> Any:
     return builder.select(builder.fcmp_ordered(comparison, a, b), a, b)
 
 
-_add = _binary(lambda builder, a, b: builder.fadd(a, b, flags=_CONTRACT))
-_subtract = _binary(lambda builder, a, b: builder.fsub(a, b, flags=_CONTRACT))
-_multiply = _binary(lambda builder, a, b: builder.fmul(a, b, flags=_CONTRACT))
 minimum = _binary(lambda builder, a, b: _select(builder, "<", a, b))
 maximum = _binary(lambda builder, a, b: _select(builder, ">", a, b))
 
 
-def _register(python_operator: Any, vector_operation: Any) -> None:
-    @overload(python_operator, inline="always")
-    def _arithmetic(a, b):  # type: ignore[no-untyped-def]
-        if isinstance(a, _Vector8) and isinstance(b, _Vector8):
-            return lambda a, b: vector_operation(a, b)
-        if isinstance(a, _Vector8) and isinstance(b, types.Float):
-            return lambda a, b: vector_operation(a, splat(b))
-        if isinstance(b, _Vector8) and isinstance(a, types.Float):
-            return lambda a, b: vector_operation(splat(a), b)
-        return None
+def _register(python_operator: Any, instruction: str) -> None:
+    """a + b and the like of vectors, and of a vector and a number, as one instruction.
+
+    A template for the processor at hand is the first that numba tries; an `overload` would be the last of dozens, and
+    compiled anew at each use.
+    """
+
+    @infer_global(python_operator)
+    class _Arithmetic(AbstractTemplate):
+        metadata = {"target": "cpu"}  # noqa: RUF012
+
+        def generic(self, args, kws):  # type: ignore[no-untyped-def]
+            if len(args) == 2 and vector8 in args and all(a in (vector8, types.float64) for a in args):
+                return vector8(*args)
+            return None
+
+    def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
+        vectors = [v if kind == vector8 else _splat(builder, v) for v, kind in zip(args, signature.args)]
+        return getattr(builder, instruction)(*vectors, flags=_CONTRACT)
+
+    for kinds in ((vector8, vector8), (vector8, types.float64), (types.float64, vector8)):
+        lower_builtin(python_operator, *kinds)(codegen)
 
 
-for _operator, _operation in ((operator.add, _add), (operator.sub, _subtract), (operator.mul, _multiply)):
-    _register(_operator, _operation)
+for _operator, _instruction in ((operator.add, "fadd"), (operator.sub, "fsub"), (operator.mul, "fmul")):
+    _register(_operator, _instruction)
 
 
 def _fused(builder: Any, a: Any, b: Any, c: Any) -> Any:
@@ -273,7 +273,7 @@ def _reciprocal(typingctx, a):  # type: ignore[no-untyped-def]
     return vector8(vector8), codegen
 
 
-@njit(inline="always")
+@part
 def van_leer3(a1, b1, least1, a2, b2, least2, a3, b3, least3):  # type: ignore[no-untyped-def]
     """Three slopes of `van_leer` for one division; zero where the product of differences is not above `least`.
 

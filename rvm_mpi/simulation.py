@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from rvm_mpi import checkpoint, postmortem, rundir
+from rvm_mpi import checkpoint, kernels, postmortem, rundir
 from rvm_mpi.checkpoint import Checkpoint
 from rvm_mpi.control import Control
 from rvm_mpi.domain import Domain
@@ -111,7 +111,7 @@ class Simulation:
         # a stage of no length measures the rates that set the first step
         self.kinetic.first_stage(0.0)
         self.kinetic.measure_sides()
-        self._rate, self._cooling_rate = self.kinetic.rate, self.kinetic.cooling_rate
+        self._set_rates()
         self.diagnostics = Diagnostics(self)
         if restart is not None:
             restart.fill(self.state(), self.domain)
@@ -179,9 +179,15 @@ class Simulation:
         self.time = self.time + dt if reached is None else reached
         self.number += 1
         self.last_dt = dt
-        self._rate, self._cooling_rate = self.kinetic.rate, self.kinetic.cooling_rate
+        self._set_rates()
         self.diagnostics.update(report)
         return Step(self.number, self.time, dt, limit)
+
+    def _set_rates(self) -> None:
+        """The rates of the last stage, which set the next step."""
+        if self.job.time.cfl is not None:
+            self.kinetic.choose_share()
+        self._rate, self._cooling_rate = self.kinetic.rate, self.kinetic.cooling_rate
 
     def _collapse(self, dt: float, limit: str) -> NumericalFailure:
         cell = None
@@ -258,6 +264,7 @@ class Simulation:
             "number": self.number,
             "last_dt": self.last_dt,
             "rate": self._rate,
+            "drift_share": self.kinetic.share,
             "cooling_rate": self._cooling_rate,
             "diagnostics": self.diagnostics.numbers(),
         }
@@ -266,6 +273,7 @@ class Simulation:
     def _set_numbers(self, numbers: dict[str, Any]) -> None:
         self.time, self.number, self.last_dt = numbers["time"], numbers["number"], numbers["last_dt"]
         self._rate, self._cooling_rate = numbers["rate"], numbers["cooling_rate"]
+        self.kinetic.share = numbers["drift_share"]
         self.diagnostics.set_numbers(numbers["diagnostics"])
 
     # -- what can be asked of the state ----------------------------------------------------------------
@@ -475,7 +483,7 @@ def run_job(
     """
     rundir.check(output, restart, overwrite)
     if not quiet and os.environ.get("OMPI_COMM_WORLD_RANK", "0") == "0" and not _compiled_before():
-        print("compiling the kernels, once per installation: about a minute", file=sys.stderr, flush=True)
+        print("compiling the kernels, which are kept for the next run: some ten seconds", file=sys.stderr, flush=True)
     with Control(output, walltime, job.output.checkpoint_every) as control:
         simulation, lines = _resumed(job, output) if restart else (Simulation(job), [])
         try:
@@ -491,10 +499,9 @@ def run_job(
 
 
 def _compiled_before() -> bool:
-    """Whether numba's cache beside the sources holds the largest kernel."""
-    from rvm_mpi import stage
-
-    return any((Path(stage.__file__).parent / "__pycache__").glob("stage.sweep*.nbi"))
+    """Whether the largest kernel is on disk."""
+    directory = kernels.kept_in()
+    return directory is not None and any(directory.glob("rvm_mpi.stage.sweep-*.code"))
 
 
 def _resumed(job: Job, output: Path) -> tuple[Simulation, list[str]]:

@@ -12,28 +12,32 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from rvm_mpi.collisions.es_bgk import FAILED, REPLACED, TOO_COLD, discrete_gaussian, discrete_maxwellian
+from rvm_mpi.kernels import kernel, part
 from rvm_mpi.kinetic import drift
 from rvm_mpi.kinetic.conservation import SUMS, add_correction, correct, weighted_sums
 from rvm_mpi.kinetic.transport import PIECE, upper_fluxes
-from rvm_mpi.simd import KERNEL, load, maximum, minimum, splat, store, total
+from rvm_mpi.simd import load, maximum, minimum, splat, store, total
 from rvm_mpi.velocity import EDGE, SPEED2, VALID, VelocityGrid, Y
 
-#: columns of the diagnostics a stage leaves of each cell
-SMALLEST, LARGEST, MISMATCH, GAUSSIANS_REPLACED, RATE, DISSIPATED, COOLING_RATE, STATUS = range(8)
+#: columns of the diagnostics a stage leaves of each cell; the rates are sums of max|a|/h over the directions
+SMALLEST, LARGEST, MISMATCH, GAUSSIANS_REPLACED, TRANSPORT, DRIFT, DISSIPATED, COOLING_RATE, STATUS = range(9)
 #: shares of mass and energy of the outermost velocities, at the end of a step and of a stage of no length
-BOX_MASS, BOX_ENERGY = 8, 9
-DIAGNOSTICS = 10
+BOX_MASS, BOX_ENERGY = 9, 10
+DIAGNOSTICS = 11
 #: what STATUS says
 HEALTHY, TOO_COLD_FOR_GRID, NO_GAUSSIAN, NO_CORRECTION, NOT_POSITIVE, NOT_A_NUMBER = range(6)
+
+
+#: what rounding may add to a Courant number that dt was made for
+FITS = 1.0 + 1e-9
 
 
 class Grid(NamedTuple):
     """The velocity grid as numbers and arrays for the kernels (`velocity.py`).
 
-    stencil (2, taps) are the coefficients of the drift's linear reconstruction, without taps for Van Leer's.
+    stencil (2, taps) are the coefficients of the drift's linear reconstruction, None for Van Leer's.
     """
 
     dimensions: int
@@ -48,7 +52,7 @@ class Grid(NamedTuple):
     nodes: np.ndarray
     per_spacing: tuple[float, float, float]
     half_width: tuple[float, float, float]
-    stencil: np.ndarray
+    stencil: np.ndarray | None
 
 
 class Space(NamedTuple):
@@ -64,17 +68,21 @@ class Space(NamedTuple):
 
 
 class Model(NamedTuple):
-    """What is solved: numbers the kernels branch on or multiply by."""
+    """What is solved: numbers the kernels branch on or multiply by.
+
+    `courant` is the largest Courant number that transport and drift are taken at together: beyond it a cell's drift is
+    taken by itself, in as many pieces as it needs.
+    """
 
     kinetic: bool
     conservative: bool
-    source: bool
     collisions: bool
     nu: float
     relaxation: float
     density_power: float
     temperature_power: float
     cooling: float
+    courant: float
 
 
 class Cells(NamedTuple):
@@ -105,7 +113,7 @@ def kernel_grid(grid: VelocityGrid, reconstruction: str = "van-leer") -> Grid:
         grid.nodes,
         (1 / grid.spacing[0], 1 / grid.spacing[1], 1 / grid.spacing[2]),
         grid.half_width,
-        np.zeros((2, 0)) if reconstruction == "van-leer" else drift.stencil(drift.ORDERS[reconstruction]),
+        None if reconstruction == "van-leer" else drift.stencil(drift.ORDERS[reconstruction]),
     )
 
 
@@ -117,6 +125,7 @@ class Work(NamedTuple):
     faces: np.ndarray
     result: np.ndarray
     gaussian: np.ndarray
+    flow: tuple[np.ndarray, np.ndarray, np.ndarray]
     scratch: np.ndarray
     south_moments: np.ndarray
     rates: np.ndarray
@@ -131,12 +140,14 @@ class Work(NamedTuple):
         from rvm_mpi.domain import aligned
 
         nvx = grid.points[0]
+        guarded = (grid.block + 2 * drift.reach(grid.points[2], grid.slab_size),)
         return cls(
             west=aligned((grid.block,)),
             south=aligned((grid.block * nx,)),
             faces=aligned((2 * PIECE,)),
             result=aligned((grid.block,)),
             gaussian=aligned((grid.block,)),
+            flow=(aligned(guarded), aligned(guarded), aligned(guarded)),
             scratch=aligned((drift.scratch_size(grid.points, grid.slab_size),)),
             south_moments=np.zeros((nx, 5)),
             rates=np.zeros(11),
@@ -153,20 +164,20 @@ class Work(NamedTuple):
         )
 
 
-@njit(**KERNEL)
+@part
 def cooled(thermal, density, d, cooling, dt):  # type: ignore[no-untyped-def]
     """Thermal energy d rho T/2 after dt of dT/dt = -2 cooling rho T^(3/2), exactly (Haff), forwards or backwards."""
     root = math.sqrt(2.0 * thermal / (d * density))
     return thermal / (1.0 + cooling * density * root * dt) ** 2
 
 
-@njit(**KERNEL)
+@part
 def relaxation_rate(model, density, temperature):  # type: ignore[no-untyped-def]
     """tau(rho, T)/eps of f."""
     return model.relaxation * density**model.density_power * temperature**model.temperature_power
 
 
-@njit(**KERNEL)
+@part
 def through(moments, weight, flux):  # type: ignore[no-untyped-def]
     """Rates of mass, momentum and energy of f through a face, from the moments of its flux (`transport.py`)."""
     for q in range(4):
@@ -174,7 +185,7 @@ def through(moments, weight, flux):  # type: ignore[no-untyped-def]
     flux[4] = 0.5 * weight * moments[4]
 
 
-@njit(**KERNEL)
+@part
 def face_omega(upwind, omega, j, i, down, right):  # type: ignore[no-untyped-def]
     """omega at the upper face of cell (j, i) along (down, right), as this cell and as the next one see it.
 
@@ -190,13 +201,13 @@ def face_omega(upwind, omega, j, i, down, right):  # type: ignore[no-untyped-def
     return b + limited(b - a, c - b), c - limited(c - b, e - c)
 
 
-@njit(**KERNEL)
+@part
 def limited(a, b):  # type: ignore[no-untyped-def]
     """Half of Van Leer's slope."""
     return a * b / (a + b) if a * b > 0.0 else 0.0
 
 
-@njit(**KERNEL)
+@part
 def blend(nu, d, first, sums, wanted, temperature, weight_first, weight_last, whole, centre, tensor):  # type: ignore[no-untyped-def]
     """Mean and temperature tensor of weight_first G[g^n] + weight_last G[result], as one Gaussian; returns its sum.
 
@@ -238,7 +249,61 @@ def blend(nu, d, first, sums, wanted, temperature, weight_first, weight_last, wh
     return density
 
 
-@njit(**KERNEL)
+@part
+def drift_pieces(dt, crossing, drifting, courant):  # type: ignore[no-untyped-def]
+    """In how many pieces a cell's drift is taken by itself; 0 where it goes together with transport.
+
+    Parameters
+    ----------
+    crossing, drifting : float
+        Sums of max|a|/h over the directions of space and of velocity.
+    courant : float
+        The largest Courant number of a forward Euler step.
+    """
+    if dt * (crossing + drifting) <= FITS * courant:
+        return 0
+    return max(1, math.ceil(dt * drifting / (FITS * courant)))
+
+
+@part
+def split(g, old, cell, grid, rates, second, weight_new, gaussian, dt, pieces, work):  # type: ignore[no-untyped-def]
+    """The explicit part of a stage where the drift is too fast for it: `work.result` from the change by transport.
+
+    Heun's method in the frame that moves with the drift (Lawson): with P the drift over dt, the first stage is
+    P(g + dt T(g)), the second P(1/2 old + gaussian * work.gaussian) + weight_new (g + dt T(g)). P is the strong
+    stability preserving Runge-Kutta method of second order with pieces + 1 stages (Spiteri and Ruuth, SIAM J. Numer.
+    Anal. 40, 2002), each a forward Euler step over dt/pieces; so g stays positive where each of these and the
+    transport keep it so.
+    """
+    block, result = grid.block, work.result
+    at = drift.reach(grid.points[2], grid.slab_size)
+    start, target, spare = work.flow
+    for n in range(0, block, 8):
+        moved = load(g, cell + n) + load(result, n) * dt
+        if second:
+            before = load(old, cell + n) * 0.5
+            if gaussian > 0.0:
+                before = before + load(work.gaussian, n) * gaussian
+            store(start, at + n, before)
+            store(result, n, moved * weight_new)
+        else:
+            store(start, at + n, moved)
+            store(result, n, splat(0.0))
+    current = start
+    for piece in range(pieces + 1):
+        last = piece == pieces
+        weight_start, weight = (1.0 / (pieces + 1), pieces / (pieces + 1)) if last else (0.0, 1.0)
+        here = target[at : at + block]
+        for n in range(0, block, 8):
+            store(here, n, splat(0.0))
+        now = dt / pieces
+        drift.apply(grid.stencil, current, at, grid, rates, start, weight_start, weight, now, work.scratch, here)
+        current, target, spare = target, spare, target
+    for n in range(0, block, 8):
+        store(result, n, load(result, n) + load(current, at + n))
+
+
+@part
 def mix(block, factor_x, factor_slab, own, gaussian, share, points_x, slab_size, x, slab, out, at, watched, extremes):  # type: ignore[no-untyped-def]
     """out = own * block * factor + share * gaussian.
 
@@ -275,7 +340,7 @@ def mix(block, factor_x, factor_slab, own, gaussian, share, points_x, slab_size,
     extremes[2], extremes[3] = total(edge_mass), total(edge_energy)
 
 
-@njit(**KERNEL)
+@kernel
 def sweep(  # type: ignore[no-untyped-def]
     grid,
     space,
@@ -316,8 +381,8 @@ def sweep(  # type: ignore[no-untyped-def]
         source it is that of the penalisation, given for both.
     source, heating : flat array, (ny, nx) array
         Rate of g by an operator that is taken explicitly, blocks without ghosts, and the rate of f's energy with it;
-        read where `model.source` is set.
-    diagnostics : (ny, nx, 10) array
+        None where there is none: what it needs is then not even compiled.
+    diagnostics : (ny, nx, DIAGNOSTICS) array
         Receives the columns named at the top of this module.
     sides : tuple of four (n, 5) arrays
         Receive the rates of mass, momentum and energy through the outermost faces (x lower, x upper, y lower, y upper),
@@ -384,10 +449,12 @@ def sweep(  # type: ignore[no-untyped-def]
                 north_moments,
             )
             if j < 0:
-                south_moments[i, :] = north_moments[:5]
+                for q in range(5):
+                    south_moments[i, q] = north_moments[q]
                 continue
             if i < 0:
-                west_moments[:5] = east_moments[:5]
+                for q in range(5):
+                    west_moments[q] = east_moments[q]
                 continue
             if across_x:
                 omega_w = face_omega(model.conservative, omega, j + gy, i + gx - 1, 0, 1)
@@ -412,7 +479,7 @@ def sweep(  # type: ignore[no-untyped-def]
                 east_through[q] = (west_through[q] - east_through[q]) + (south_through[q] - north_through[q])
             rate = east_through
 
-            if model.source:
+            if source is not None:
                 rate[4] += heating[j, i]
 
             # the state at the beginning of this stage, in f's units
@@ -455,27 +522,40 @@ def sweep(  # type: ignore[no-untyped-def]
                 rates[3 + q] = (omega_n[q] - omega_s[q]) * space.per_dy
             rates[5], rates[6], rates[7] = beta * ux / here, beta * uy / here, beta * uz / here
             rates[8], rates[9], rates[10] = grid.per_spacing[0], grid.per_spacing[1], grid.per_spacing[2]
-            fastest = max(omega_w[0], omega_w[1], omega_e[0], omega_e[1]) * grid.half_width[0] * space.per_dx
-            fastest += max(omega_s[0], omega_s[1], omega_n[0], omega_n[1]) * grid.half_width[1] * space.per_dy
+            crossing = max(omega_w[0], omega_w[1], omega_e[0], omega_e[1]) * grid.half_width[0] * space.per_dx
+            crossing += max(omega_s[0], omega_s[1], omega_n[0], omega_n[1]) * grid.half_width[1] * space.per_dy
+            drifting = 0.0
             turning = abs(total_rate) + max(abs(rates[1]), abs(rates[2])) * grid.half_width[0]
             turning += max(abs(rates[3]), abs(rates[4])) * grid.half_width[1]
             for q in range(d):
-                fastest += (turning * grid.half_width[q] + abs(rates[5 + q])) * grid.per_spacing[q]
+                drifting += (turning * grid.half_width[q] + abs(rates[5 + q])) * grid.per_spacing[q]
 
             # transport and drift
-            z = depth[j, i] if second or model.source else 0.0
+            first = start.sums[j, i]
+            z = depth[j, i] if second or source is not None else 0.0
             weight_old, weight_new = (0.5, 0.5 * (1.0 + z)) if second else (0.0, 1.0)
-            if grid.stencil.shape[1] == 0:
-                drift.update(g, cell, grid, rates, out, weight_old, weight_new, dt, work.scratch, result)
-            else:
-                drift.update_linear(g, cell, grid, rates, out, weight_old, weight_new, dt, work.scratch, result)
-            if model.source:
+            weight_first = 0.5 * z
+            if source is not None:
                 at = (j * nx + i) * block
                 for n in range(0, block, 8):
-                    store(result, n, load(result, n) + load(source, at + n) * (weight_new * dt))
+                    store(result, n, load(result, n) + load(source, at + n))
+            pieces = drift_pieces(dt, crossing, drifting, model.courant)
+            if pieces == 0:
+                scratch = work.scratch
+                drift.apply(grid.stencil, g, cell, grid, rates, out, weight_old, weight_new, dt, scratch, result)
+            else:
+                share = 0.0
+                if weight_first > 0.0 and second and model.collisions:
+                    density_blend = blend(model.nu, d, first, first, first, 1.0, 1.0, 0.0, 1.0, centre, tensor)
+                    answer = discrete_gaussian(density_blend, centre, tensor, grid, work.fit, work.gaussian, fitted)
+                    if answer > REPLACED:
+                        diagnostics[j, i, STATUS] = TOO_COLD_FOR_GRID if answer == TOO_COLD else NO_GAUSSIAN
+                        continue
+                    share = weight_first * density_blend / fitted[0]
+                split(g, out, cell, grid, rates, second, weight_new, share, dt, pieces, work)
+                weight_first = 0.0
 
             # the carried moments at the end of the stage
-            first = start.sums[j, i]
             dissipated = 0.0
             mismatch = 0.0
             omega_new = omega_end[j, i]
@@ -534,13 +614,12 @@ def sweep(  # type: ignore[no-untyped-def]
                     before = cooled(thermal, density, d, model.cooling, -dt if second else dt)
                     dissipated = 0.5 * abs(thermal - before)
             cooling_rate = 2.0 * beta * thermal / energy
-            if model.source:
+            if source is not None:
                 dissipated = -0.5 * dt * heating[j, i]
                 cooling_rate = abs(heating[j, i]) / energy
             for q in range(4):
                 m0[q] = first[q]
             m0[4] = 0.5 * (first[4] + first[7] + first[9])
-            weight_first = 0.5 * z
             if not model.conservative:
                 wanted[4] = 0.5 * (sums[4] + sums[7] + sums[9])
                 for q in range(4):
@@ -557,7 +636,7 @@ def sweep(  # type: ignore[no-untyped-def]
             if not temperature_new > 0.0:
                 diagnostics[j, i, STATUS] = NOT_POSITIVE
                 continue
-            if model.collisions and not (second or model.source):
+            if model.collisions and source is None and not second:
                 z0 = relaxation_rate(model, density, temperature)
                 z1 = relaxation_rate(model, density_new * weight, temperature_new * omega_new * omega_new)
                 z = 0.5 * dt * (z0 + z1)
@@ -566,7 +645,7 @@ def sweep(  # type: ignore[no-untyped-def]
             if not second:
                 weight_first = 0.0
             whole = 1.0 + z + weight_last if second else 1.0 + z
-            if model.conservative and not model.source:
+            if model.conservative and source is None:
                 for q in range(5):
                     target[q] = (whole - weight_last) * wanted[q] - weight_first * m0[q]
                 mismatch = correct(result, target, d, points_x, slab_size, grid.x, grid.slab, work.correction, sums)
@@ -598,7 +677,7 @@ def sweep(  # type: ignore[no-untyped-def]
                     status = TOO_COLD_FOR_GRID
                 elif answer == FAILED:
                     status = NO_GAUSSIAN
-            if model.source:
+            if source is not None:
                 # the operator leaves g negative in places, far so where it is penalised
                 if share > 0.0:
                     for n in range(0, block, 8):
@@ -662,7 +741,8 @@ def sweep(  # type: ignore[no-untyped-def]
             diagnostics[j, i, LARGEST] = extremes[1]
             diagnostics[j, i, MISMATCH] = mismatch
             diagnostics[j, i, GAUSSIANS_REPLACED] = replaced
-            diagnostics[j, i, RATE] = fastest
+            diagnostics[j, i, TRANSPORT] = crossing
+            diagnostics[j, i, DRIFT] = drifting
             diagnostics[j, i, DISSIPATED] = dissipated
             diagnostics[j, i, COOLING_RATE] = cooling_rate
             diagnostics[j, i, STATUS] = status

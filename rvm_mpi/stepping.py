@@ -14,18 +14,25 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from numba import njit
 
 from rvm_mpi import stage
 from rvm_mpi.collisions.boltzmann import BoltzmannOperator
 from rvm_mpi.collisions.es_bgk import EXACT, REPLACED, discrete_gaussian, discrete_maxwellian
 from rvm_mpi.collisions.weight_store import shared_weights
-from rvm_mpi.estimates import collision_frequency, explicit_rate, fastest_rate
+from rvm_mpi.estimates import (
+    DRIFT_SHARES,
+    cheapest_share,
+    collision_frequency,
+    explicit_rate,
+    fastest_rate,
+    pieces_of_drift,
+)
 from rvm_mpi.job import JobError
+from rvm_mpi.kernels import Direct, kernel
 from rvm_mpi.kinetic.conservation import SUMS, correct
+from rvm_mpi.kinetic.drift import reach
 from rvm_mpi.kinetic.walls import KINDS, fill_side
 from rvm_mpi.moments import fields, sums_about
-from rvm_mpi.simd import KERNEL
 from rvm_mpi.stage import Cells, Model, Space, Work
 from rvm_mpi.states import distribution
 from rvm_mpi.velocity import VelocityGrid
@@ -38,6 +45,8 @@ if TYPE_CHECKING:
 GHOSTS = 2
 #: largest relative error of the moments that a sampled initial state may be corrected by
 SAMPLED = 0.1
+#: Courant number up to which Van Leer's limiter keeps g positive
+POSITIVE = 0.5
 SIDES = ("x-lower", "x-upper", "y-lower", "y-upper")
 _PROBLEMS = {
     stage.TOO_COLD_FOR_GRID: "the velocity grid cannot hold the temperature: T_g is below what its spacing resolves",
@@ -112,10 +121,9 @@ class StepReport:
     entered: dict[str, np.ndarray]
 
 
-@njit(**KERNEL)
-def _fill_gaussians(g, space, grid, density, mean, tensors, work, block, status):  # type: ignore[no-untyped-def]
+@kernel
+def _fill_gaussians(g, space, grid, density, mean, tensors, work, block, status, moments):  # type: ignore[no-untyped-def]
     """Discrete Gaussians with the given sums, means and tensors in every cell; status (ny, nx) of each."""
-    moments = np.zeros(10)
     row = (space.nx + 2 * space.wx) * grid.block
     for j in range(space.ny):
         for i in range(space.nx):
@@ -126,10 +134,10 @@ def _fill_gaussians(g, space, grid, density, mean, tensors, work, block, status)
                 g[cell + n] = scale * block[n]
 
 
-@njit(**KERNEL)
-def _penalise(g, space, grid, sums, rate, work, block, source):  # type: ignore[no-untyped-def]
+@kernel
+def _penalise(g, space, grid, sums, rate, work, block, source, small):  # type: ignore[no-untyped-def]
     """source -= rate (G[g] - g) in every cell, G the discrete Maxwellian with the sums (ny, nx, 10) of g."""
-    moments, mean, tensor = np.zeros(10), np.zeros(3), np.zeros(6)
+    moments, mean, tensor = small
     row = (space.nx + 2 * space.wx) * grid.block
     for j in range(space.ny):
         for i in range(space.nx):
@@ -162,8 +170,13 @@ class KineticStepper:
         The rescaled distribution, ghost cells included.
     now : stage.Cells
         omega, carried moments and sums that belong to g.
-    rate, cooling_rate : float
-        Largest over this rank's cells of sum max|a|/h, and of |d ln E/dt| by dissipation, in the last stage.
+    rates : list of float
+        Largest over all cells, in the last stage, of the sum of max|a|/h over the directions of space and, times each
+        of `DRIFT_SHARES`, over those of velocity.
+    share : int
+        Which of them sets the step.
+    cooling_rate : float
+        Largest over all cells of |d ln E/dt| by dissipation, in the last stage.
     """
 
     def __init__(self, job: Job, domain: Domain, density: np.ndarray, velocity: np.ndarray, tensor: np.ndarray) -> None:
@@ -176,8 +189,7 @@ class KineticStepper:
         per = [1.0 / h if q < domain.dimensions else 0.0 for q, h in enumerate(domain.spacing)]
         self.space = Space(domain.dimensions, nx, ny, wx, wy, per[0], per[1])
         self.work = Work.create(self.grid, nx)
-        # the drift reads up to two slabs beyond a block
-        guard = 2 * self.grid.slab_size + self.grid.points[2] + 16
+        guard = reach(self.grid.points[2], self.grid.slab_size)
         self.g, self._other = (domain.empty(GHOSTS, self.grid.block, guard) for _ in range(2))
         self.now, self._middle, self._next = (self._cells() for _ in range(3))
         self._growth, self._depth = np.zeros((ny, nx)), np.zeros((ny, nx))
@@ -186,7 +198,9 @@ class KineticStepper:
         self._sides = tuple(np.zeros((n, 5)) for n in (ny, ny, nx, nx))
         self._through = tuple(np.zeros((n, 5)) for n in (ny, ny, nx, nx))
         self._far = {name: self._side_states(name, density, velocity, tensor) for name in SIDES if domain.on_side(name)}
-        self.rate = self.cooling_rate = 0.0
+        self._run_sweep, self._fill_side = Direct(stage.sweep), Direct(fill_side)
+        self._wall_work = np.zeros((4, max(self.grid.nodes.shape[1], 3)))
+        self.rates, self.share, self.cooling_rate = [0.0] * len(DRIFT_SHARES), 0, 0.0
         self._operator = _operator(job, domain)
         self._source = np.zeros((ny, nx, self.grid.block)) if self._operator else np.zeros((0, 0, 0))
         self._heating, self._penalty = np.zeros((ny, nx)), np.zeros((ny, nx))
@@ -248,6 +262,7 @@ class KineticStepper:
             self.work.fit,
             self.work.gaussian,
             status,
+            np.zeros(10),
         )
         worst = int(self.domain.maximum(float(status.max()))[0])
         if worst > EXACT:
@@ -343,7 +358,7 @@ class KineticStepper:
             field[near] = omega
             field[far] = field[next_one] if boundary.kind == "specular" else omega
             sign = 1 if lower else -1
-            fill_side(
+            self._fill_side(
                 g.reshape(-1),
                 inner,
                 along[name[0]],
@@ -356,6 +371,7 @@ class KineticStepper:
                 states,
                 omega,
                 self.grid,
+                self._wall_work,
             )
 
     def set_scaling(self, omega_end: np.ndarray, dt: float) -> None:
@@ -443,7 +459,7 @@ class KineticStepper:
         if collision.penalise:
             _penalise(
                 g.reshape(-1), self.space, self.grid, cells.sums, self._penalty, self.work.fit, self.work.gaussian,
-                self._source,
+                self._source, (np.zeros(10), np.zeros(3), np.zeros(6)),
             )  # fmt: skip
         if collision.elastic:
             return
@@ -477,7 +493,7 @@ class KineticStepper:
             if self.job.collision.penalise and not second:
                 self._set_penalty(dt)
             self._collide(g, begin)
-        stage.sweep(
+        self._run_sweep(
             self.grid,
             self.space,
             self.model,
@@ -491,20 +507,41 @@ class KineticStepper:
             self._growth,
             self._omega_end,
             self._depth,
-            self._source.reshape(-1),
+            self._source.reshape(-1) if self._operator else None,
             self._heating,
             self._diagnostics,
             self._sides,
             self.work,
         )
         local = self._diagnostics
-        rate, cooling = float(local[..., stage.RATE].max()), float(local[..., stage.COOLING_RATE].max())
-        status = float(local[..., stage.STATUS].max())
-        if not (math.isfinite(rate) and math.isfinite(cooling)):
+        rates = [float(self._rate_of_cells(share).max()) for share in DRIFT_SHARES]
+        cooling, status = float(local[..., stage.COOLING_RATE].max()), float(local[..., stage.STATUS].max())
+        if not (math.isfinite(rates[0]) and math.isfinite(cooling)):
             status = max(status, float(stage.NOT_POSITIVE))
-        self.rate, self.cooling_rate, worst = self.domain.maximum(rate, cooling, status)
+        *self.rates, self.cooling_rate, worst = self.domain.maximum(*rates, cooling, status)
         if worst > stage.HEALTHY:
             self._fail(int(worst))
+
+    def _rate_of_cells(self, share: float) -> np.ndarray:
+        """Sum of max|a|/h over the directions of space and, times `share`, over those of velocity: (ny, nx)."""
+        return self._diagnostics[..., stage.TRANSPORT] + share * self._diagnostics[..., stage.DRIFT]
+
+    @property
+    def rate(self) -> float:
+        """The rate that, times dt, is to be the Courant number of a step."""
+        return self.rates[self.share]
+
+    def choose_share(self) -> None:
+        """Choose the share of the drift that the next step is made for, the one that takes least time; collective.
+
+        A long step costs more than a short one, for the cells whose drift it takes in pieces.
+        """
+        self.share = 0
+        if self.rates[0] <= self.rates[-1]:
+            return
+        transport, drift = self._diagnostics[..., stage.TRANSPORT], self._diagnostics[..., stage.DRIFT]
+        pieces = self.domain.total(*(pieces_of_drift(transport, drift, rate) for rate in self.rates))
+        self.share = cheapest_share(self.rates, pieces, math.prod(self.domain.cells))
 
     def _fail(self, worst: int) -> None:
         """Name the first bad cell; every rank raises, the line is the same on all.
@@ -518,7 +555,7 @@ class KineticStepper:
         else:
             local = self._diagnostics
             cell = self.first_cell(np.argwhere(local[..., stage.STATUS] == worst))
-            cell = cell or self.first_cell(np.argwhere(~np.isfinite(local[..., stage.RATE])))
+            cell = cell or self.first_cell(np.argwhere(~np.isfinite(self._rate_of_cells(1.0))))
         node = self._sick_node(cell) if cell is not None and worst == stage.NOT_A_NUMBER else None
         where = "" if cell is None else f" in {self.domain.place(cell)}"
         if node is not None:
@@ -537,7 +574,8 @@ class KineticStepper:
 
     def fastest_cell(self, cooling: bool) -> tuple[int, int] | None:
         """The cell that limited the last step by transport and drift, or by cooling; collective."""
-        column = self._diagnostics[..., stage.COOLING_RATE if cooling else stage.RATE]
+        share = DRIFT_SHARES[self.share]
+        column = self._diagnostics[..., stage.COOLING_RATE] if cooling else self._rate_of_cells(share)
         return self.first_cell(np.argwhere(column == self.domain.maximum(float(column.max()))[0]))
 
     def _sick_node(self, cell: tuple[int, int]) -> tuple[int, ...] | None:
@@ -565,7 +603,8 @@ class KineticStepper:
         begin, new = self.last.begin, self.last.new
         report: dict[str, Any] = {
             "status": _PROBLEMS.get(int(self._diagnostics[j, i, stage.STATUS]), "healthy"),
-            "rate": float(self._diagnostics[j, i, stage.RATE]),
+            "transport_rate": float(self._diagnostics[j, i, stage.TRANSPORT]),
+            "drift_rate": float(self._diagnostics[j, i, stage.DRIFT]),
             "cooling_rate": float(self._diagnostics[j, i, stage.COOLING_RATE]),
         }
         for name, cells in (("start", self.now), ("stage", begin), ("result", new)):
@@ -616,13 +655,13 @@ def _model(job: Job) -> Model:
     return Model(
         kinetic=job.scaling.kind == "kinetic",
         conservative=bool(job.scheme.conservative),
-        source=collision.operator == "boltzmann",
         collisions=collisions,
         nu=1.0 - 1.0 / prandtl if collisions and prandtl is not None else 0.0,
         relaxation=law.coefficient / knudsen if law is not None and knudsen is not None else 0.0,
         density_power=law.density_power if law is not None else 0.0,
         temperature_power=law.temperature_power if law is not None else 0.0,
         cooling=0.0 if collision.operator == "boltzmann" else collision.cooling,
+        courant=job.time.cfl or POSITIVE,
     )
 
 

@@ -24,16 +24,16 @@ from typing import Any
 
 import numpy as np
 import pyfftw
-from numba import njit
 
 from rvm_mpi.collisions.boltzmann_weights import SUPPORT, Rows, block_kind, compute_weights, kernel_scale
-from rvm_mpi.simd import KERNEL, LANES, apart, load, splat, store, together
+from rvm_mpi.kernels import kernel, part
+from rvm_mpi.simd import LANES, apart, load, splat, store, together
 
 #: nodes of all cells in a lane of a batch: short enough for the cache, long enough for calls to be cheap
 BATCH_NODES = 2048
 
 
-@njit(**KERNEL)
+@part
 def gather(spectrum, start, nx, ny, nz, mx, my, mz, scale, re, im):  # type: ignore[no-untyped-def]
     """The modes -M..M of each axis, real and imaginary parts apart, eight cells innermost, from a half spectrum.
 
@@ -56,7 +56,7 @@ def gather(spectrum, start, nx, ny, nz, mx, my, mz, scale, re, im):  # type: ign
                     store(im, middle - place, imaginary * -scale)
 
 
-@njit(**KERNEL)
+@part
 def scatter(re, im, nx, ny, nz, mx, my, mz, spectrum, start):  # type: ignore[no-untyped-def]
     """The half spectrum of the modes after the middle one, in the layouts of `gather`; the rest follows or is zero."""
     middle = ((mx * (2 * my + 1) + my) * (2 * mz + 1) + mz) * LANES
@@ -77,7 +77,7 @@ def scatter(re, im, nx, ny, nz, mx, my, mz, spectrum, start):  # type: ignore[no
                 store(spectrum, target + z * 2 * LANES + LANES, high)
 
 
-@njit(**KERNEL)
+@part
 def add_line(weights, start, count, re, im, left, right, step, q_re, q_im, place):  # type: ignore[no-untyped-def]
     """q += sum_j weights[start + j] g[left + j step] g[right - j step]: complex g, real weights, eight cells."""
     zero = splat(0.0)
@@ -94,7 +94,7 @@ def add_line(weights, start, count, re, im, left, right, step, q_re, q_im, place
     store(q_im, place, load(q_im, place) + (i1 + i2))
 
 
-@njit(**KERNEL)
+@part
 def add_two_lines(weights, start, count, re, im, left, right, q_re, q_im, place, centre):  # type: ignore[no-untyped-def]
     """`add_line` for a line upwards and for the line with the opposite modes of the same rows.
 
@@ -125,7 +125,7 @@ def add_two_lines(weights, start, count, re, im, left, right, q_re, q_im, place,
     store(q_im, down, load(q_im, down) + (j1 + j2))
 
 
-@njit(**KERNEL)
+@part
 def add_pairs(pairs, kind, offsets, weights, modes, re, im, q_re, q_im):  # type: ignore[no-untyped-def]
     """q_k += sum over the pairs of rows of W g_l g_m: the double sum, for eight cells.
 
@@ -157,7 +157,7 @@ def add_pairs(pairs, kind, offsets, weights, modes, re, im, q_re, q_im):  # type
             start += count
 
 
-@njit(**KERNEL)
+@kernel
 def sum_groups(  # type: ignore[no-untyped-def]
     spectra, groups, points, modes, scale, pairs, kind, offsets, weights, re, im, q_re, q_im
 ):
@@ -173,7 +173,7 @@ def sum_groups(  # type: ignore[no-untyped-def]
         scatter(q_re, q_im, nx, ny, nz, mx, my, mz, spectra, start)
 
 
-@njit(**KERNEL)
+@kernel
 def to_lanes(g, lanes):  # type: ignore[no-untyped-def]
     """lanes (batch, nx, ny, nz, 8) from cells g (up to 8 batch, nx, ny, nz), padded with zeros."""
     lanes[:] = 0.0
@@ -185,7 +185,7 @@ def to_lanes(g, lanes):  # type: ignore[no-untyped-def]
                     lanes[group, x, y, z, lane] = g[cell, x, y, z]
 
 
-@njit(**KERNEL)
+@kernel
 def from_lanes(lanes, scale, out):  # type: ignore[no-untyped-def]
     """`to_lanes` back again, times `scale`."""
     for cell in range(out.shape[0]):

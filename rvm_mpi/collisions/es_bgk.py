@@ -12,10 +12,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from rvm_mpi.kernels import part
 from rvm_mpi.kinetic.conservation import about_origin, solve
-from rvm_mpi.simd import KERNEL, exponential, leading, load, minimum, splat, store, total, where_positive
+from rvm_mpi.simd import exponential, leading, load, minimum, splat, store, total, where_positive
 from rvm_mpi.velocity import VALID, Y, Z
 
 #: relative mismatch of the ten moments at which Newton's iteration rests
@@ -61,7 +61,7 @@ _PRODUCT = np.array(
 )
 
 
-@njit(**KERNEL)
+@part
 def smallest_variance(nodes, count, mean):  # type: ignore[no-untyped-def]
     """The least variance a positive function on these nodes can have with this mean; negative outside the nodes."""
     if count == 1:
@@ -72,7 +72,7 @@ def smallest_variance(nodes, count, mean):  # type: ignore[no-untyped-def]
     return (mean - nodes[j]) * (nodes[j + 1] - mean)
 
 
-@njit(**KERNEL)
+@part
 def fit_axis(nodes, count, mean, variance, result):  # type: ignore[no-untyped-def]
     """exp(b s + a s^2), s = node - mean, with the given mean and variance on the nodes of one axis.
 
@@ -133,7 +133,7 @@ def fit_axis(nodes, count, mean, variance, result):  # type: ignore[no-untyped-d
         b += shorter * db
 
 
-@njit(**KERNEL)
+@part
 def gaussian_moments(theta, centre, points_x, slab_size, x, slab, block, moments):  # type: ignore[no-untyped-def]
     """block = exp(theta . m(xi - centre)), m = 1, x, y, z, xx, xy, xz, yy, yz, zz, and its sums of those ten.
 
@@ -191,7 +191,7 @@ def gaussian_moments(theta, centre, points_x, slab_size, x, slab, block, moments
     moments[5], moments[6], moments[7], moments[8], moments[9] = total(xy), total(xz), total(yy), total(yz), total(zz)
 
 
-@njit(**KERNEL)
+@part
 def gaussian_sums(centre, points_x, slab_size, x, slab, block, sums, plane):  # type: ignore[no-untyped-def]
     """Sums to fourth order of the Gaussian that `gaussian_moments` has left in `block`.
 
@@ -238,7 +238,7 @@ def gaussian_sums(centre, points_x, slab_size, x, slab, block, sums, plane):  # 
                 sums[15 * p + q] = total(load(plane, 8 * (15 * p + q)))
 
 
-@njit(**KERNEL)
+@part
 def realisable_tensor(density, mean, tensor, dimensions, points, nodes):  # type: ignore[no-untyped-def]
     """Bring a temperature tensor within what the grid can hold, in place, keeping its trace.
 
@@ -282,7 +282,7 @@ def realisable_tensor(density, mean, tensor, dimensions, points, nodes):  # type
     return REPLACED
 
 
-@njit(**KERNEL)
+@part
 def determinant(t, dimensions):  # type: ignore[no-untyped-def]
     """Determinant of the first `dimensions` axes of a tensor (xx, xy, xz, yy, yz, zz)."""
     if dimensions == 1:
@@ -293,7 +293,7 @@ def determinant(t, dimensions):  # type: ignore[no-untyped-def]
     return xx * (yy * zz - yz * yz) - xy * (xy * zz - yz * xz) + xz * (xy * yz - yy * xz)
 
 
-@njit(**KERNEL)
+@part
 def invert_tensor(t, dimensions, inverse):  # type: ignore[no-untyped-def]
     """Inverse of a tensor (xx, xy, xz, yy, yz, zz) in its first `dimensions` axes, else 0; False if not positive."""
     det = determinant(t, dimensions)
@@ -316,7 +316,7 @@ def invert_tensor(t, dimensions, inverse):  # type: ignore[no-untyped-def]
     return True
 
 
-@njit(**KERNEL)
+@part
 def discrete_gaussian(density, mean, tensor, grid, work, block, moments):  # type: ignore[no-untyped-def]
     """The positive grid function exp(quadratic) with the given sums, mean and temperature tensor.
 
@@ -408,7 +408,7 @@ def discrete_gaussian(density, mean, tensor, grid, work, block, moments):  # typ
     return FAILED
 
 
-@njit(**KERNEL)
+@part
 def discrete_maxwellian(density, mean, temperature, grid, work, tensor, block, moments):  # type: ignore[no-untyped-def]
     """`discrete_gaussian` of one temperature; `tensor` (6,) receives the covariance that it has."""
     tensor[:] = 0.0

@@ -9,9 +9,7 @@ cannot be read, written or trusted costs the time to make the weights, nothing e
 from __future__ import annotations
 
 import hashlib
-import os
 import sys
-import tempfile
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
@@ -21,6 +19,7 @@ import numpy as np
 import scipy
 from llvmlite.binding import get_host_cpu_name
 
+from rvm_mpi.cache import cache_directory, write_whole
 from rvm_mpi.collisions import boltzmann_weights
 from rvm_mpi.collisions.boltzmann_weights import Rows, compute_weights
 from rvm_mpi.job_text import JobError, one_line
@@ -30,18 +29,6 @@ STORED_FROM = 8_000_000
 #: bytes that all stored weights may take; beyond it the oldest go
 LARGEST_CACHE = 2_000_000_000
 DIGEST = hashlib.sha256
-
-
-def cache_directory() -> Path:
-    """Where weights are stored, by the XDG base directory specification; it need not exist.
-
-    Raises
-    ------
-    RuntimeError
-        Where the user has no home directory.
-    """
-    given = Path(os.environ.get("XDG_CACHE_HOME", ""))
-    return (given if given.is_absolute() else Path.home() / ".cache") / "rvm_mpi"
 
 
 def file_name(points: tuple[int, ...], restitution: float, exponent: float) -> str:
@@ -73,17 +60,9 @@ def write(path: Path, weights: np.ndarray) -> None:
     OSError
         The directory cannot be written or the disk is full; nothing is left behind.
     """
-    path.parent.mkdir(parents=True, exist_ok=True)
-    handle, temporary = tempfile.mkstemp(dir=path.parent)
-    try:
-        with open(handle, "wb") as file:  # noqa: PTH123 a descriptor, not a path
-            file.write(DIGEST(weights.data).digest())
-            file.write(weights.data)
-        Path(temporary).replace(path)
-    except BaseException:
-        Path(temporary).unlink(missing_ok=True)
-        raise
-    newest_first = sorted(path.parent.iterdir(), key=lambda one: one.stat().st_mtime, reverse=True)
+    write_whole(path, DIGEST(weights.data).digest(), weights.data)
+    files = filter(Path.is_file, path.parent.iterdir())
+    newest_first = sorted(files, key=lambda one: one.stat().st_mtime, reverse=True)
     sizes = np.cumsum([one.stat().st_size for one in newest_first])
     for old, size in zip(newest_first[1:], sizes[1:]):
         if size > LARGEST_CACHE:

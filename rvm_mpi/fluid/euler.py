@@ -24,10 +24,10 @@ import math
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import njit
 
 from rvm_mpi.fluid.walls import GHOSTS, Side
-from rvm_mpi.fluid.weno import KERNEL, weno5
+from rvm_mpi.fluid.weno import weno5
+from rvm_mpi.kernels import kernel, part
 
 if TYPE_CHECKING:
     from rvm_mpi.domain import Domain
@@ -55,7 +55,7 @@ _FIELD, _RIGHTWARD, _LEFTWARD = 10, 15, 45
 _FACE = 75
 
 
-@njit(**KERNEL)
+@part(fused=False)
 def _at(slot: int, lane: int) -> np.uint64:
     """Index of a slot's lane.
 
@@ -65,7 +65,7 @@ def _at(slot: int, lane: int) -> np.uint64:
     return np.uint64(slot * LANES + lane)
 
 
-@njit(**KERNEL)
+@part(fused=False)
 def _complete(cell: np.ndarray, gamma: float) -> None:
     """Velocity, sound speed, fluxes and speeds of one cell's conserved variables."""
     k = 0
@@ -93,7 +93,7 @@ def _complete(cell: np.ndarray, gamma: float) -> None:
         k += 1
 
 
-@njit(**KERNEL)
+@part(fused=False)
 def _low_flux(pair: np.ndarray) -> None:
     """First-order Lax-Friedrichs flux at the face between two cells, with the larger speed of the two."""
     for c in range(5):
@@ -107,7 +107,7 @@ def _low_flux(pair: np.ndarray) -> None:
             k += 1
 
 
-@njit(**KERNEL)
+@part(fused=False)
 def _mean_state(stencil: np.ndarray, face: np.ndarray, gamma: float) -> None:
     """Roe's average of the two cells beside the face; the largest speed of each field over the six cells."""
     left, right = 2 * _RECORD, 3 * _RECORD
@@ -146,7 +146,7 @@ def _mean_state(stencil: np.ndarray, face: np.ndarray, gamma: float) -> None:
             k += 1
 
 
-@njit(**KERNEL)
+@part(fused=False)
 def _project(cell: np.ndarray, face: np.ndarray, split: np.ndarray, gamma: float) -> None:
     """One cell's part of the split fluxes (f + a w)/2 and (f - a w)/2 in the face's characteristic fields.
 
@@ -187,7 +187,7 @@ def _project(cell: np.ndarray, face: np.ndarray, split: np.ndarray, gamma: float
         k += 1
 
 
-@njit(**KERNEL)
+@part(fused=False)
 def _reconstruct(face: np.ndarray) -> None:
     """WENO5 of the split fluxes of each characteristic field, from both sides."""
     for field in range(5):
@@ -202,7 +202,7 @@ def _reconstruct(face: np.ndarray) -> None:
             k += 1
 
 
-@njit(**KERNEL)
+@part(fused=False)
 def _assemble(face: np.ndarray, cell: np.ndarray) -> None:
     """From the characteristic fields back to the flux, kept in the record of the cell on the face's left."""
     k = 0
@@ -221,7 +221,7 @@ def _assemble(face: np.ndarray, cell: np.ndarray) -> None:
         k += 1
 
 
-@njit(**KERNEL)
+@part(fused=False)
 def _high_flux(stencil: np.ndarray, face: np.ndarray, gamma: float) -> None:
     """WENO5 flux at the face between the third and the fourth of six cells."""
     _mean_state(stencil, face, gamma)
@@ -231,7 +231,7 @@ def _high_flux(stencil: np.ndarray, face: np.ndarray, gamma: float) -> None:
     _assemble(face, stencil[2 * _RECORD * LANES :])
 
 
-@njit(**KERNEL)
+@part(fused=False)
 def _first_order_update(pair: np.ndarray, ratio: float) -> None:
     """First-order update of the right one of two cells through its two faces; ratio = d_x dt/h."""
     for c in range(5):
@@ -249,7 +249,7 @@ def _first_order_update(pair: np.ndarray, ratio: float) -> None:
         k += 1
 
 
-@njit(**KERNEL)
+@part(fused=False)
 def _allowed(pair: np.ndarray, cell: int, weight: float) -> None:
     """Lower the face's theta to what one of its two cells allows, which loses weight times the flux.
 
@@ -279,7 +279,7 @@ def _allowed(pair: np.ndarray, cell: int, weight: float) -> None:
         k += 1
 
 
-@njit(**KERNEL)
+@part(fused=False)
 def _limit(pair: np.ndarray, ratio: float) -> None:
     """Draw the flux between two cells towards first order as far as either needs it; ratio = d_x dt/h."""
     k = 0
@@ -296,7 +296,17 @@ def _limit(pair: np.ndarray, ratio: float) -> None:
             k += 1
 
 
-@njit(**KERNEL)
+@part(fused=False)
+def _slot(component: int, components: int, axis: int) -> int:
+    """Where a sweep along an axis keeps a component: the normal momentum before the others, the energy last."""
+    if component == components - 1:
+        return 4
+    if axis == 1 and (component == 1 or component == 2):
+        return 3 - component
+    return component
+
+
+@kernel(fused=False)
 def sweep(
     state: np.ndarray,
     change: np.ndarray,
@@ -332,10 +342,6 @@ def sweep(
     wy = GHOSTS if directions == 2 else 0
     wx = GHOSTS
     length, pencils = (nx, ny) if axis == 0 else (ny, nx)
-    slots = np.arange(components)
-    slots[components - 1] = 4
-    if axis == 1:
-        slots[1], slots[2] = 2, 1
     share = directions * ratio
     face, records = work[: _FACE * LANES], work[_FACE * LANES :]
     size = _RECORD * LANES
@@ -347,7 +353,7 @@ def sweep(
                 p = min(start + k, pencils - 1)
                 row, column = (p + wy, i) if axis == 0 else (i, p + wx)
                 for c in range(components):
-                    cell[_at(_STATE + slots[c], k)] = state[row, column, c]
+                    cell[_at(_STATE + _slot(c, components, axis), k)] = state[row, column, c]
                 k += 1
             _complete(cell, gamma)
         for i in range(1, length + 4):
@@ -370,7 +376,7 @@ def sweep(
             for k in range(min(LANES, pencils - start)):
                 row, column = (start + k, i) if axis == 0 else (i, start + k)
                 for c in range(components):
-                    slot = _HIGH + slots[c]
+                    slot = _HIGH + _slot(c, components, axis)
                     amount = -(ratio * (faces[_at(_RECORD + slot, k)] - faces[_at(slot, k)]))
                     change[row, column, c] = amount if axis == 0 else change[row, column, c] + amount
 
@@ -380,7 +386,7 @@ def work_size(cells: int) -> int:
     return (_FACE + (cells + 2 * GHOSTS) * _RECORD) * LANES
 
 
-@njit(**KERNEL)
+@part(fused=False)
 def _internal(cell: np.ndarray) -> float:
     """Internal energy density d rho T/2 of one cell's state (d + 2,)."""
     momentum2 = 0.0
@@ -389,7 +395,7 @@ def _internal(cell: np.ndarray) -> float:
     return cell[cell.size - 1] - 0.5 * momentum2 / cell[0]
 
 
-@njit(**KERNEL)
+@kernel(fused=False)
 def combine(state: np.ndarray, start: np.ndarray, change: np.ndarray, weight: float) -> int:
     """Runge-Kutta stage: state = (1 - weight) start + weight (state + change).
 
@@ -419,7 +425,7 @@ def combine(state: np.ndarray, start: np.ndarray, change: np.ndarray, weight: fl
     return lost
 
 
-@njit(**KERNEL)
+@kernel(fused=False)
 def cool(state: np.ndarray, cooling: float, power: float, dt: float) -> None:
     """The homogeneous cooling of every cell, exact for dT/dt = -2 C rho T^{1 + power/2} (Haff: power 1).
 
@@ -445,7 +451,7 @@ def cool(state: np.ndarray, cooling: float, power: float, dt: float) -> None:
             state[j, i, components - 1] = (state[j, i, components - 1] - inner) + inner / factor
 
 
-@njit(**KERNEL)
+@kernel(fused=False)
 def largest_rate(state: np.ndarray, wy: int, wx: int, inverse_dy: float, inverse_dx: float) -> float:
     """Largest sum over the directions of (|u_n| + c)/h, over the cells and the first layer of ghosts.
 
@@ -483,7 +489,7 @@ def largest_rate(state: np.ndarray, wy: int, wx: int, inverse_dy: float, inverse
     return largest
 
 
-@njit(**KERNEL)
+@kernel(fused=False)
 def root_mean_energy(state: np.ndarray, out: np.ndarray) -> None:
     """The scaling omega = sqrt(2E/(d rho)) of every cell: state (ny, nx, d + 2), out (ny, nx)."""
     ny, nx, components = state.shape

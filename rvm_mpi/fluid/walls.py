@@ -9,9 +9,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numba import njit
 
-from rvm_mpi.fluid.weno import KERNEL
+from rvm_mpi.kernels import kernel
 
 if TYPE_CHECKING:
     from rvm_mpi.job import Boundary
@@ -24,7 +23,7 @@ VACUUM = 1e-10
 SOLID = ("specular", "maxwell")
 
 
-@njit(**KERNEL)
+@kernel(fused=False)
 def mirror(
     state: np.ndarray, normal: int, accommodation: float, temperature: float, velocity: np.ndarray
 ) -> None:
@@ -66,7 +65,7 @@ def mirror(
             state[ghost, i, d + 1] = (1.0 - accommodation) * state[inner, i, d + 1] + accommodation * wall
 
 
-@njit(**KERNEL)
+@kernel(fused=False)
 def extend(state: np.ndarray, factor: float) -> None:
     """Ghosts repeat the cell behind the side, times a factor: 1 for outflow, tiny for a vacuum.
 

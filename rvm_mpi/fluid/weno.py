@@ -7,19 +7,16 @@ extrema, where the weights of Jiang and Shu fall to third, and depend on no scal
 
 from __future__ import annotations
 
-from typing import Any
+from rvm_mpi.kernels import part
 
-from numba import njit
-
-#: Options of the fluid's kernels. No fused multiply-adds: which product of a*b + c*d is fused is the
-#: compiler's choice, and would tell left from right and x from y in the last bit.
-KERNEL: dict[str, Any] = {"cache": True, "error_model": "numpy", "fastmath": {"nsz"}, "nogil": True}
+# No fused multiply-adds in the fluid's kernels: which product of a*b + c*d is fused is the compiler's choice, and would
+# tell left from right and x from y in the last bit.
 
 #: keeps 0/0 out of the weights
 TINY = 1e-40
 
 
-@njit(**KERNEL)
+@part(fused=False)
 def weno5(a: float, b: float, c: float, d: float, e: float) -> float:
     """Value at the face between c and d of the function whose cell averages are a to e, upwind from the left.
 

@@ -9,9 +9,8 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
-
-from rvm_mpi.simd import KERNEL, exponential, first_lane, load, splat, spread, store, total
+from rvm_mpi.kernels import part
+from rvm_mpi.simd import exponential, first_lane, load, splat, spread, store, total
 from rvm_mpi.velocity import Y, Z
 
 #: sums kept of a block: 1, x, y, z, xx, xy, xz, yy, yz, zz, x|xi|^2, y|xi|^2, z|xi|^2, |xi|^4
@@ -23,7 +22,7 @@ LAST_STEP = 1e-8
 NEWTON_STEPS = 40
 
 
-@njit(**KERNEL)
+@part
 def solve(matrix, vector, n):  # type: ignore[no-untyped-def]
     """Solve a symmetric positive system in place (Cholesky); rows with a zero diagonal are left out.
 
@@ -58,7 +57,7 @@ def solve(matrix, vector, n):  # type: ignore[no-untyped-def]
     return True
 
 
-@njit(**KERNEL)
+@part
 def factor_tables(coefficients, centre, points_x, slab_size, x, slab, factor_x, factor_slab):  # type: ignore[no-untyped-def]
     """The correction's factor as a product: factor_x[k] for xi_x times factor_slab[n] for (xi_y, xi_z).
 
@@ -74,7 +73,7 @@ def factor_tables(coefficients, centre, points_x, slab_size, x, slab, factor_x, 
         store(factor_slab, n, exponential(y * (y * c2 + splat(cy)) + z * (z * c2 + splat(cz)) + splat(c0)))
 
 
-@njit(**KERNEL)
+@part
 def _add_planes(planes, f, y, z, a0, a1, a2, a3, a4):  # type: ignore[no-untyped-def]
     """Add to the sums of `weighted_sums` those of f at (y, z), from its sums times x^0 to x^4."""
     m0, mx, my, mz, xx, xy, xz, yy, yz, zz, x3, y3, z3, m4 = planes
@@ -99,7 +98,7 @@ def _add_planes(planes, f, y, z, a0, a1, a2, a3, a4):  # type: ignore[no-untyped
     )
 
 
-@njit(**KERNEL)
+@part
 def weighted_sums(block, centre, points_x, slab_size, x, slab, factor_x, factor_slab, powers, sums):  # type: ignore[no-untyped-def]
     """The sums of block * factor_x * factor_slab about `centre`, in the order of `SUMS`.
 
@@ -137,7 +136,7 @@ def weighted_sums(block, centre, points_x, slab_size, x, slab, factor_x, factor_
     sums[10], sums[11], sums[12], sums[13] = total(x3), total(y3), total(z3), total(m4)
 
 
-@njit(**KERNEL)
+@part
 def about_origin(sums, centre):  # type: ignore[no-untyped-def]
     """Turn the first ten sums about `centre` into sums about the origin, in place."""
     m, cx, cy, cz = sums[0], centre[0], centre[1], centre[2]
@@ -153,7 +152,7 @@ def about_origin(sums, centre):  # type: ignore[no-untyped-def]
     sums[3] += cz * m
 
 
-@njit(**KERNEL)
+@part
 def _moment_matrix(sums, matrix):  # type: ignore[no-untyped-def]
     """Lower half of the sums of products of 1, c, |c|^2, from those of `weighted_sums`."""
     for i in range(3):
@@ -166,7 +165,7 @@ def _moment_matrix(sums, matrix):  # type: ignore[no-untyped-def]
     matrix[4, 4] = sums[13]
 
 
-@njit(**KERNEL)
+@part
 def relative_mismatch(sums, density, thermal, spread):  # type: ignore[no-untyped-def]
     """How far sums about the mean wanted are from density, zero momentum and spread, relative, the largest."""
     return max(
@@ -176,7 +175,7 @@ def relative_mismatch(sums, density, thermal, spread):  # type: ignore[no-untype
     )
 
 
-@njit(**KERNEL)
+@part
 def correct(block, target, dimensions, points_x, slab_size, x, slab, work, sums):  # type: ignore[no-untyped-def]
     """Find the factor that gives a block the moments `target`.
 
@@ -261,7 +260,7 @@ def correct(block, target, dimensions, points_x, slab_size, x, slab, work, sums)
     return -1.0
 
 
-@njit(**KERNEL)
+@part
 def add_correction(block, gaussian, target, dimensions, points_x, slab_size, x, slab, work, sums):  # type: ignore[no-untyped-def]
     """Add gaussian * (c0 + c . (xi - u) + c2 |xi - u|^2) to a block of any sign, so that its moments are `target`.
 

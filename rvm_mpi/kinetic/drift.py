@@ -15,10 +15,9 @@ import math
 from math import comb
 
 import numpy as np
-from numba import njit
 
+from rvm_mpi.kernels import part
 from rvm_mpi.simd import (
-    KERNEL,
     LEAST,
     load,
     maximum,
@@ -47,19 +46,25 @@ def scratch_size(points: tuple[int, int, int], slab_size: int) -> int:
     return rows + 2 * TAPS + points[0] * _whole_vectors(points[2])
 
 
-@njit(**KERNEL)
+@part
+def reach(points_z, slab_size):  # type: ignore[no-untyped-def]
+    """How many doubles before and after a block `update` reads; what it finds there must be numbers."""
+    return 2 * slab_size + points_z + 16
+
+
+@part
 def _guard(points_z):  # type: ignore[no-untyped-def]
     """Zeros before and after a row of `scratch`: what the widest stencil reaches in y."""
     return (TAPS // 2) * points_z + 8
 
 
-@njit(**KERNEL)
+@part
 def _whole_vectors(count):  # type: ignore[no-untyped-def]
     """The count rounded up to whole vectors."""
     return (count + 7) // 8 * 8
 
 
-@njit(**KERNEL)
+@part
 def _piece(points_z):  # type: ignore[no-untyped-def]
     """Nodes of a piece: whole vectors and whole rows along z, so that no flux along z crosses into the next."""
     step = 8 * points_z // math.gcd(8, points_z)
@@ -81,20 +86,20 @@ def stencil(order: int) -> np.ndarray:
     return np.stack([central, upper[-1] * difference])
 
 
-@njit(**KERNEL)
+@part
 def turning_rates(rates):  # type: ignore[no-untyped-def]
     """A and d_x omega, for velocities that go up and down, and d_y omega likewise, for whole vectors."""
     return rates[0], rates[1], rates[2], splat(rates[3]), splat(rates[4])
 
 
-@njit(**KERNEL)
+@part
 def pushes(rates):  # type: ignore[no-untyped-def]
     """1/h of the three velocity directions, and beta u/h."""
     per_x, per_y, per_z = rates[8], rates[9], rates[10]
     return per_x, per_y, per_z, rates[5] * per_x, rates[6] * per_y, rates[7] * per_z
 
 
-@njit(**KERNEL)
+@part
 def update(g, cell, grid, rates, old, weight_old, weight_new, dt, scratch, result):  # type: ignore[no-untyped-def]
     """result = weight_old * old + weight_new * (g + dt * (result + drift)) for the block of one cell.
 
@@ -202,7 +207,7 @@ def update(g, cell, grid, rates, old, weight_old, weight_new, dt, scratch, resul
             slope_x, slope_next = slope_next, slope_x
 
 
-@njit(**KERNEL)
+@part
 def update_linear(g, cell, grid, rates, old, weight_old, weight_new, dt, scratch, result):  # type: ignore[no-untyped-def]
     """`update` with the linear reconstruction of `grid.stencil` in place of Van Leer's limiter."""
     points_x, points_y, points_z = grid.points
@@ -292,3 +297,12 @@ def update_linear(g, cell, grid, rates, old, weight_old, weight_new, dt, scratch
             else:
                 r = r * weight_new
             store(result, at + n, r)
+
+
+@part
+def apply(stencil, g, cell, grid, rates, old, weight_old, weight_new, dt, scratch, result):  # type: ignore[no-untyped-def]
+    """`update`, or `update_linear` where the grid has a stencil: only the one that is used is compiled."""
+    if stencil is None:
+        update(g, cell, grid, rates, old, weight_old, weight_new, dt, scratch, result)
+    else:
+        update_linear(g, cell, grid, rates, old, weight_old, weight_new, dt, scratch, result)

@@ -8,16 +8,15 @@ together.
 
 from __future__ import annotations
 
-from numba import njit
-
-from rvm_mpi.simd import KERNEL, load, prefetch, splat, store, total, van_leer, van_leer_newton, where_positive
+from rvm_mpi.kernels import part
+from rvm_mpi.simd import load, prefetch, splat, store, total, van_leer, van_leer_newton, where_positive
 from rvm_mpi.velocity import Y, Z
 
 #: nodes of a slab whose face values are kept at a time, few enough for the nearest cache
 PIECE = 128
 
 
-@njit(**KERNEL)
+@part
 def upper_fluxes(  # type: ignore[no-untyped-def]
     g,
     cell,

@@ -10,10 +10,7 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-from numba import njit
-
-from rvm_mpi.simd import KERNEL
+from rvm_mpi.kernels import kernel, part
 
 SPECULAR, MAXWELL, FAR_FIELD, OUTFLOW, VACUUM = range(5)
 KINDS = {
@@ -25,14 +22,14 @@ KINDS = {
 }
 
 
-@njit(**KERNEL)
+@part
 def inward_flux(density, normal, temperature):  # type: ignore[no-untyped-def]
     """Mass per area and time that a half-space of Maxwellian gas sends in; `normal` is its inward velocity."""
     s = normal / math.sqrt(2.0 * temperature)
     return density * (math.sqrt(temperature / (2.0 * math.pi)) * math.exp(-s * s) + 0.5 * normal * (1.0 + math.erf(s)))
 
 
-@njit(**KERNEL)
+@part
 def outgoing_face(g, inner, inward, at):  # type: ignore[no-untyped-def]
     """g on the face for a velocity that leaves: the limited slope towards the extrapolation, cut at zero."""
     here, before = g[inner + at], g[inner + inward + at]
@@ -40,8 +37,8 @@ def outgoing_face(g, inner, inward, at):  # type: ignore[no-untyped-def]
     return here + (a * b / (a + b) if a * b > 0.0 else 0.0)
 
 
-@njit(**KERNEL)
-def fill_side(g, inner, along, inward, count, axis, sign, kind, accommodation, states, omega, grid):  # type: ignore[no-untyped-def]
+@kernel
+def fill_side(g, inner, along, inward, count, axis, sign, kind, accommodation, states, omega, grid, work):  # type: ignore[no-untyped-def]
     """Fill the ghost cells beyond one side of a rank.
 
     Parameters
@@ -60,11 +57,12 @@ def fill_side(g, inner, along, inward, count, axis, sign, kind, accommodation, s
     omega : (count,) array
         Scaling of the inner cells.
     grid : stage.Grid
+    work : (4, longest axis) array
+        Work space, three wide at least.
     """
     nvx, nvy, nvz = grid.points
     size = grid.slab_size
-    factor = np.empty((3, grid.nodes.shape[1]))
-    peak = np.zeros(3)
+    factor, peak = work[:3], work[3]
     for c in range(count):
         cell = inner + c * along
         near, far = cell - inward, cell - 2 * inward

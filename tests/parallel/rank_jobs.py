@@ -60,6 +60,13 @@ JOBS = {
         "initial": {"state": "wave", "density_amplitude": 0.2, "mode": [0.5]},
         "time": {"end": 0.02},
     },
+    "front": {
+        "space": {"cells": [12, 13], "lower": [-1.0, -1.0], "boundary": {"x": "far-field", "y": "far-field"}},
+        "velocity": {"points": [8, 8, 8]},
+        "collision": {"operator": "es-bgk", "knudsen": 0.05},
+        "initial": {"state": "temperature-disc", "inner": 1.0, "outer": 100.0, "radius": 0.5},
+        "time": {"end": 0.005},
+    },
     "drift": {
         "space": {"cells": [12], "boundary": {"x": "specular"}},
         "velocity": {"points": [8, 8, 8]},

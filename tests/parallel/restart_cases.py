@@ -41,6 +41,11 @@ CASES = {
         "collision": GRANULAR,
         "initial": RANDOM,
     },
+    "2d-front": {
+        "space": {"cells": [9, 8], "boundary": {"x": "far-field", "y": "far-field"}},
+        "collision": {"operator": "es-bgk", "knudsen": 0.05},
+        "initial": {"state": "temperature-disc", "inner": 1.0, "outer": 100.0, "radius": 0.25, "centre": [0.5, 0.5]},
+    },
     "2d-kinetic": {
         "space": {"cells": [8, 9], "boundary": {"x": "periodic", "y": {"lower": "outflow", "upper": "diffuse"}}},
         "scheme": {"drift": "kappa"},

@@ -267,13 +267,13 @@ class Twin:
             full[a, b] = full[b, a] = s[4 + place]
         return full[:d, :d]
 
-    def relax(self, explicit, first, weight_first, weight_last):
-        """(explicit + weight_first G[first] + weight_last G[result])/whole, both Gaussians as one; whole is what makes
-        the mass of the result that of the parts."""
+    def relax(self, explicit, first, weight_first, weight_last, known):
+        """(explicit + weight_first G[first] + weight_last G[result])/whole, both Gaussians as one; `known` is the
+        weight of the parts without the last."""
         d = self.d
         p = np.array([ten_sums(self.grid, explicit), ten_sums(self.grid, first)])
         total = p[0, :4] + weight_first * p[1, :4]
-        whole = 1.0 + weight_first * 2.0 + weight_last if weight_first else 1.0 + weight_last
+        whole = known + weight_last
         rho = total[0] / (whole - weight_last)
         u = total[1 : 1 + d] / (rho * (whole - weight_last))
         rho0, u0 = p[1, 0], p[1, 1 : 1 + d] / p[1, 0]
@@ -295,15 +295,32 @@ class Twin:
         blended = gaussian(self.grid, density, [*mean, *np.zeros(3 - d)], tensor)
         return (explicit + share * blended) / whole
 
-    def step(self, g, omega, carried, dt, omega_end=None):
-        """g, omega and carried moments at the end of a step; omega_end where the scaling is given from outside."""
-        growth = None if omega_end is None else np.log(omega_end / omega) / dt
-        middle = self.stage(False, g, omega, carried, g, omega, carried, dt, growth, omega_end, None)
-        depth = middle[3]
-        return self.stage(True, g, omega, carried, *middle[:3], dt, growth, omega_end, depth)[:3]
+    def step(self, g, omega, carried, dt, omega_end=None, pieces=(None, None)):
+        """g, omega and carried moments at the end of a step; omega_end where the scaling is given from outside.
 
-    def stage(self, second, g0, omega0, carried0, g, omega, carried, dt, growth, omega_end, depth):
+        pieces: (ny, nx) for each stage, in how many pieces the drift is taken by itself, 0 where with transport.
+        """
+        growth = None if omega_end is None else np.log(omega_end / omega) / dt
+        middle = self.stage(False, g, omega, carried, g, omega, carried, dt, growth, omega_end, None, pieces[0])
+        depth = middle[3]
+        return self.stage(True, g, omega, carried, *middle[:3], dt, growth, omega_end, depth, pieces[1])[:3]
+
+    def flow(self, g, drift, dt, pieces):
+        """The drift alone over dt: stages of forward Euler over dt/pieces, the last one averaged with the start."""
+        moved = g
+        for _ in range(pieces):
+            moved = moved + dt / pieces * drift(moved)
+        return (g + pieces * (moved + dt / pieces * drift(moved))) / (pieces + 1)
+
+    def gaussian_of(self, g):
+        """The discrete Gaussian G[g] of a cell."""
+        s, d = ten_sums(self.grid, g), self.d
+        u = s[1:4] / s[0]
+        return gaussian(self.grid, s[0], u, self.tensor_of(self.second_moments(g), s[0], u[:d]))
+
+    def stage(self, second, g0, omega0, carried0, g, omega, carried, dt, growth, omega_end, depth, pieces=None):
         """One stage from (g, omega, carried); the step began at (g0, omega0, carried0)."""
+        pieces = np.zeros(omega.shape, dtype=int) if pieces is None else pieces
         model, grid, d = self.model, self.grid, self.d
         rate, moments, gradient = self.transport(g, omega)
         state = carried if model.conservative else self.of_g(g, omega)
@@ -318,13 +335,24 @@ class Twin:
             turning = growth + beta
         velocity = state[..., 1:4] / rho[..., None]
         explicit = np.empty(g.shape)
+        z = depth if second else np.zeros(omega.shape)
+        weight_first = np.where(pieces > 0, 0.0, 0.5 * z)
         for at in np.ndindex(*omega.shape):
             push = beta[at] * velocity[at] / omega[at]
-            drift = drift_rate(grid, g[at], turning[at], gradient[:, :, at[0], at[1]], push, self.order)
-            explicit[at] = g[at] + dt * (rate[at] + drift)
-        z = depth if second else np.zeros(omega.shape)
-        if second:
-            explicit = 0.5 * g0 + 0.5 * (1.0 + z)[..., None, None, None] * explicit
+
+            def drift(block, at=at, push=push):
+                return drift_rate(grid, block, turning[at], gradient[:, :, at[0], at[1]], push, self.order)
+
+            moved = g[at] + dt * rate[at]
+            if pieces[at] == 0:
+                explicit[at] = moved + dt * drift(g[at])
+                if second:
+                    explicit[at] = 0.5 * g0[at] + 0.5 * (1.0 + z[at]) * explicit[at]
+            elif second:
+                known = 0.5 * g0[at] + (0.5 * z[at] * self.gaussian_of(g0[at]) if model.collisions else 0.0)
+                explicit[at] = self.flow(known, drift, dt, pieces[at]) + 0.5 * (1.0 + z[at]) * moved
+            else:
+                explicit[at] = self.flow(moved, drift, dt, pieces[at])
         new_carried, new_omega = carried, omega_end
         if model.conservative:
             moved = carried + dt * moments
@@ -338,7 +366,7 @@ class Twin:
             if model.conservative:
                 sums0 = ten_sums(grid, g0[at])
                 begin = np.array([*sums0[:4], 0.5 * (sums0[4] + sums0[7] + sums0[9])])
-                part = (1.0 + z[at]) * wanted - 0.5 * z[at] * begin
+                part = (1.0 + z[at]) * wanted - weight_first[at] * begin
                 explicit[at] = corrected(grid, explicit[at], part)
             if not second and model.collisions:
                 after = new_carried[at] if model.conservative else self.of_g(explicit[at], w)
@@ -346,6 +374,6 @@ class Twin:
                 before = self.depth_rate(rho[at], temperature[at])
                 new_depth[at] = 0.5 * dt * (before + self.depth_rate(after[0], after_temperature))
             zz = z[at] if second else new_depth[at]
-            weights = (0.5 * zz, 0.5 * zz * zz) if second else (0.0, zz)
-            result[at] = self.relax(explicit[at], g0[at], *weights)
+            weights = (weight_first[at], 0.5 * zz * zz) if second else (0.0, zz)
+            result[at] = self.relax(explicit[at], g0[at], *weights, 1.0 + zz if second else 1.0)
         return result, new_omega, new_carried, new_depth

@@ -57,8 +57,23 @@ def test_the_largest_number_of_ranks_works_and_no_larger_one_does(cells):
         partition(cells, most + 1)
 
 
+@pytest.mark.timeout(10)
+def test_far_too_many_ranks_are_refused_at_once():
+    """A slip in a job script must not keep 100,000 ranks busy with looking for a number that would do."""
+    with pytest.raises(JobError, match=r"100000 ranks cannot share 64 x 64: .* largest possible number below is 441$"):
+        partition((64, 64), 100_000)
+    with pytest.raises(JobError, match=r"largest possible number below is 28900$"):
+        partition((512, 512), 1_000_000)
+
+
 def test_partitions_are_balanced_with_short_borders():
     assert partition((64, 64), 1) == (1, 1)
+    # rows alone while they are cheaper, both ways when they are not
+    assert [partition((64, 64), ranks) for ranks in (2, 3, 5)] == [(1, 2), (1, 3), (1, 5)]
+    assert [partition((64, 64), ranks) for ranks in (4, 8)] == [(2, 2), (2, 4)]
+    assert partition((40, 1000), 4) == (1, 4)
+    # 17 cells by 12 with borders of 29 are less work than 33 by 6 with borders of 39, though more cells
+    assert partition((66, 60), 20) == (4, 5)
     assert partition((64, 64), 16) == (4, 4)
     assert partition((200, 10), 4) == (4, 1)
     assert partition((10, 200), 4) == (1, 4)

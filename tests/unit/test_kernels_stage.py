@@ -164,8 +164,9 @@ STEPS = {
 }
 
 
+@pytest.mark.parametrize("pieces", [False, True], ids=["drift with transport", "drift in pieces"])
 @pytest.mark.parametrize("name", list(STEPS))
-def test_a_step(name):
+def test_a_step(name, pieces):
     """Conservative steps agree to what the correction's last Newton step leaves of the stress, others to round-off."""
     mapping, tolerance = STEPS[name]
     job = Job.from_dict(mapping)
@@ -189,14 +190,19 @@ def test_a_step(name):
 
     stepper.first_stage(0.0)
     dt = 0.4 / stepper.rate
+    if pieces:
+        stepper.model = stepper.model._replace(courant=0.04)
     # the second step starts from a g that is no Gaussian any more
     for _ in range(2):
         g, omega, carried = unpacked(), stepper.omega.copy(), stepper.now.carried.copy()
         if omega_end is not None:
             stepper.set_scaling(omega_end, dt)
         stepper.first_stage(dt)
+        counts = [pieces_of(stepper, dt)]
         stepper.second_stage(dt)
-        wanted, wanted_omega, wanted_carried = twin.step(g, omega, carried, dt, omega_end)
+        counts.append(pieces_of(stepper, dt))
+        assert all((count > 1).all() if pieces else (count == 0).all() for count in counts)
+        wanted, wanted_omega, wanted_carried = twin.step(g, omega, carried, dt, omega_end, counts)
         found = unpacked()
         assert np.abs(found - g).max() > 1e-3 * g.max()
         np.testing.assert_allclose(found, wanted, rtol=tolerance, atol=tolerance * g.max())
@@ -205,6 +211,26 @@ def test_a_step(name):
             np.testing.assert_allclose(stepper.now.carried, wanted_carried, atol=3e-11)
         sums = ten_sums(stepper.velocity_grid, found)
         np.testing.assert_allclose(stepper.now.sums, sums, atol=max(tolerance, 1e-9) * np.abs(sums).max())
+
+
+def pieces_of(stepper, dt):
+    """In how many pieces the last stage took the drift of each cell."""
+    local = stepper._diagnostics
+    rates = (local[..., stage.TRANSPORT], local[..., stage.DRIFT])
+    return np.vectorize(lambda t, a: stage.drift_pieces(dt, t, a, stepper.model.courant), otypes=[int])(*rates)
+
+
+@SETTINGS
+@given(crossing=st.floats(0.0, 10.0), drifting=st.floats(0.0, 1e3), dt=st.floats(0.0, 1.0))
+def test_pieces_of_the_drift(crossing, drifting, dt):
+    """None where both fit into one step, else so many that each of them does, and not one more."""
+    pieces = stage.drift_pieces(dt, crossing, drifting, 0.5)
+    if dt * (crossing + drifting) <= 0.5:
+        assert pieces == 0
+    elif dt * (crossing + drifting) > 0.500001:
+        assert pieces >= 1
+        assert dt * drifting / pieces < 0.500001
+        assert pieces == 1 or dt * drifting / (pieces - 1) > 0.5
 
 
 # -- a gas that omega must not stir --------------------------------------------------------------------------

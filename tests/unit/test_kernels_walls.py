@@ -58,7 +58,7 @@ class Side:
         inner = (2 if self.sign > 0 else 4) * steps[self.axis] + 2 * along
         walls.fill_side(
             flat, inner, along, inward, COUNT, self.axis, self.sign, walls.KINDS[kind], accommodation,
-            self.states, self.omega, kernel_grid(grid),
+            self.states, self.omega, kernel_grid(grid), np.zeros((4, max(grid.nodes.shape[1], 3))),
         )  # fmt: skip
         after = grid.unpack(flat.reshape(7, 7, block))
         changed = np.any(after != self.before, axis=(2, 3, 4))

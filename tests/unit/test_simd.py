@@ -6,19 +6,17 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numba import njit
 from numpy_twins import half_slope
 
 from rvm_mpi import simd
 from rvm_mpi.domain import aligned
+from rvm_mpi.kernels import kernel
 
-# compiled anew each time: a cached kernel would not see a change in simd.py
-FRESH = {**simd.KERNEL, "cache": False}
 SETTINGS = settings(max_examples=80, deadline=None)
 ROWS = 28
 
 
-@njit(**FRESH)
+@kernel
 def operate(a, b, c, d, e, f, out, number):
     """Every operation on the vectors a .. f and a number, one result a row."""
     va, vb, vc = simd.load(a, 0), simd.load(b, 0), simd.load(c, 0)

@@ -1,0 +1,124 @@
+"""Rescaled against classical variables at equal error: `python benchmarks/equal_error.py` (some minutes on one core).
+
+Gas of density 1 and temperature 1 beside gas of density 1/2 and temperature R, one space and two velocity dimensions,
+BGK, 64 cells, until the hot gas has crossed a quarter of the box. For each R the velocities of an axis that bring
+density and temperature to within a quarter of the error that the cells leave, the seconds and the bytes that this
+takes; the reference is a run in classical variables on 256 cells.
+"""
+
+import argparse
+import sys
+import time
+from math import ceil, sqrt
+from pathlib import Path
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+
+from rvm_mpi import Simulation
+from rvm_mpi.velocity import VelocityGrid
+from tests.verification.kinetic_cases import build, coarsen, es_bgk, line, table
+
+CELLS, REFERENCE_CELLS = 64, 256
+#: half widths of the boxes: of g, in thermal speeds; of f, in thermal speeds of the hot gas
+RESCALED, CLASSICAL = 7.0, 6.0
+#: velocities of an axis: of g, and of f for each sqrt(R)
+TRIED = {"kinetic": (8, 12, 16, 20, 24, 32, 40, 48, 64), "none": (8, 12, 16, 20, 24, 32)}
+#: above the error that the cells leave
+ALLOWED = 1.25
+
+
+def solve(ratio: float, scaling: str, cells: int, points: int):
+    """Density and temperature (cells,) at the end, and the seconds of a core the steps took."""
+    half_width = RESCALED if scaling == "kinetic" else CLASSICAL * sqrt(ratio)
+    job = build(
+        space=line(cells, "far-field", -1.0, 1.0),
+        velocity={"points": [points, points], "half_width": half_width},
+        scaling=scaling,
+        scheme={"conservative": True},
+        collision=es_bgk(0.05, prandtl=1.0),
+        initial={
+            "state": "riemann",
+            "left": {"density": 1.0, "temperature": 1.0},
+            "right": {"density": 0.5, "temperature": ratio},
+        },
+        time={"end": 0.5 / sqrt(ratio)},
+    )
+    simulation = Simulation(job)
+    begin = time.process_time()
+    for _ in simulation:
+        pass
+    seconds = time.process_time() - begin
+    moments = simulation.moments()
+    return (moments["density"][0], moments["temperature"][0]), seconds
+
+
+def error(found, exact) -> float:
+    """The larger of the relative L1 errors of density and temperature."""
+    pairs = zip(found, (coarsen(values, CELLS) for values in exact))
+    return max(float(np.abs(values - fine).sum() / np.abs(fine).sum()) for values, fine in pairs)
+
+
+def size(points: int) -> int:
+    """Bytes of the two copies of g, ghost cells included."""
+    return 2 * 8 * (CELLS + 4) * VelocityGrid.create((points, points), (1.0, 1.0)).block
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--ratios", type=float, nargs="+", default=[1.0, 4.0, 25.0, 100.0], help="temperature ratios R")
+    parser.add_argument("--figure", type=Path, help="file for the plot")
+    options = parser.parse_args()
+    needed: dict[str, list[tuple[int, float, int]]] = {"kinetic": [], "none": []}
+    solve(1.0, "kinetic", CELLS, 8)  # compiles what is not
+    for ratio in options.ratios:
+        exact, _ = solve(ratio, "none", REFERENCE_CELLS, ceil(16 * sqrt(ratio)) * 2)
+        errors: dict[str, list[tuple[int, float, float]]] = {}
+        for scaling, tried in TRIED.items():
+            stretch = sqrt(ratio) if scaling == "none" else 1.0
+            counts = [2 * ceil(n * stretch / 2) for n in tried]
+            errors[scaling] = []
+            for points in counts:
+                found, seconds = solve(ratio, scaling, CELLS, points)
+                errors[scaling].append((points, error(found, exact), seconds))
+        # what the cells leave: the worse of the two with the most velocities
+        goal = ALLOWED * max(rows[-1][1] for rows in errors.values())
+        print(f"R = {ratio:g}: error allowed {goal:.3g}")
+        rows = [(f"{'classical' if s == 'none' else 'rescaled'}", *r) for s in errors for r in errors[s]]
+        table("variables velocities_an_axis error seconds", rows)
+        for scaling, found in errors.items():
+            points, _, seconds = next(row for row in found if row[1] <= goal)
+            needed[scaling].append((points**2, seconds, size(points)))
+    rows = [
+        (f"{ratio:g}", *(value for pair in zip(needed["none"][n], needed["kinetic"][n]) for value in pair))
+        for n, ratio in enumerate(options.ratios)
+    ]
+    print("needed: classical, rescaled")
+    table("R velocities_c velocities_r seconds_c seconds_r bytes_c bytes_r", rows)
+    if options.figure:
+        draw(options.ratios, needed, options.figure)
+
+
+def draw(ratios, needed, path: Path) -> None:
+    """Velocities of a cell, seconds and bytes against the temperature ratio."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot
+
+    figure, axes = pyplot.subplots(1, 3, figsize=(10, 3.2), constrained_layout=True)
+    names = ("velocities of a cell", "time on one core [s]", "memory of g [MB]")
+    for place, (axis, name) in enumerate(zip(axes, names)):
+        for scaling, label, mark in (("none", "classical variables", "s--"), ("kinetic", "rescaled variables", "o-")):
+            values = [row[place] / (1e6 if place == 2 else 1) for row in needed[scaling]]
+            axis.loglog(ratios, values, mark, label=label)
+        axis.set(xlabel="temperature ratio", ylabel=name, xticks=ratios, xticklabels=[f"{r:g}" for r in ratios])
+        axis.minorticks_off()
+        axis.grid(alpha=0.3)
+    axes[0].legend(frameon=False)
+    figure.savefig(path, dpi=150)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,326 @@
+"""How kernels are declared, compiled and kept between runs.
+
+A *kernel* is called from Python. Its machine code is made in one go from itself and all the *parts* it calls, which
+belong to it alone: no other kernel's copy can take their place, so its bits do not depend on what else was compiled, in
+which order, or came from disk. A *part* is called by kernels and other parts; numba translates it once a process and
+leaves it to each kernel to optimise its own copy. Called from Python, as the tests do, a part is compiled as a kernel.
+Kernels and parts allocate nothing: work space is passed to them.
+
+The machine code of the package's kernels is kept in `kernels/` of the user's cache directory (`cache.py`), or of
+$NUMBA_CACHE_DIR where that is set, in a directory named by a hash of all that it depends on: the package's sources, the
+versions of what compiles it, the processor. Files appear whole or not at all. Whoever compiles a kernel holds a
+lock on its file meanwhile, so that of the ranks that start together one compiles and the others read. A cache that
+cannot be read or written costs the time to compile, nothing else.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import hashlib
+import operator
+import pickle
+import shutil
+import sys
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from functools import cache, cached_property, update_wrapper
+from pathlib import Path
+from typing import IO, Any
+
+import llvmlite
+import numba
+import numpy as np
+from llvmlite.binding import Linkage
+from numba import _dynfunc, njit
+from numba.core import types
+from numba.core.caching import _Cache
+from numba.core.codegen import JITCodeLibrary
+from numba.core.compiler import CompilerBase, CompileResult, DefaultPassBuilder
+from numba.core.compiler_machinery import LoweringPass, register_pass
+from numba.core.registry import cpu_target
+from numba.core.serialize import dumps
+from numba.core.typed_passes import InlineOverloads, NativeLowering, NopythonRewrites
+from numba.core.typing.arraydecl import GetItemBuffer, SetItemBuffer
+from numba.core.typing.templates import infer_global
+from numba.core.untyped_passes import InlineClosureLikes, WithLifting
+
+from rvm_mpi.cache import cache_directory, write_whole
+
+#: directories of kernels that are kept: of the last sources and processors in use, some MB each
+KEPT = 20
+#: seconds after which a rank no longer waits for another one to compile
+PATIENCE = 300.0
+#: for what kernels do not use: closures, expressions of whole arrays, `with` blocks
+_NEEDLESS = {InlineClosureLikes, InlineOverloads, NopythonRewrites, WithLifting}
+
+
+# -- declaring ------------------------------------------------------------------------------------------------
+
+
+def kernel(function: Any = None, *, fused: bool = True) -> Any:
+    """Declare a function that Python calls to be compiled.
+
+    Parameters
+    ----------
+    fused : bool
+        Whether products and sums may be contracted to fused multiply-adds; nothing else is reordered.
+    """
+    if function is None:
+        return lambda declared: kernel(declared, fused=fused)
+    compiled = njit(pipeline_class=_KernelCompiler, **_options(fused))(function)
+    if function.__module__.startswith("rvm_mpi."):  # what lies outside the package is not in the hash of its sources
+        compiled._cache = _Kept(function)
+    return compiled
+
+
+class Part:
+    """A function that kernels and other parts call: numba sees it as such, Python as a kernel."""
+
+    def __init__(self, function: Callable[..., Any], fused: bool) -> None:
+        update_wrapper(self, function)
+        self._function, self._fused = function, fused
+
+    @cached_property
+    def _part(self) -> Any:
+        return njit(pipeline_class=_PartCompiler, no_cpython_wrapper=True, **_options(self._fused))(self._function)
+
+    @cached_property
+    def _numba_type_(self) -> types.Type:
+        return types.Dispatcher(self._part)
+
+    @cached_property
+    def _kernel(self) -> Any:
+        return kernel(self._function, fused=self._fused)
+
+    def __call__(self, *arguments: Any) -> Any:
+        """Run it as a kernel."""
+        return self._kernel(*arguments)
+
+
+def part(function: Any = None, *, fused: bool = True) -> Any:
+    """Declare a function that kernels call; as `kernel`."""
+    return (lambda declared: Part(declared, fused)) if function is None else Part(function, fused)
+
+
+class Direct:
+    """A kernel that is only ever called with arguments of the same types, which are looked at in the first call alone.
+
+    numba otherwise works out the types of tuples anew at each call, half a millisecond for those of a sweep.
+    """
+
+    def __init__(self, compiled: Any) -> None:
+        self._compiled = compiled
+        self._code: Callable[..., Any] | None = None
+
+    def __call__(self, *arguments: Any) -> Any:
+        """Run it."""
+        if self._code is None:
+            self._code = self._compiled.compile(tuple(map(numba.typeof, arguments)))
+        return self._code(*arguments)
+
+
+def _options(fused: bool) -> dict[str, Any]:
+    return {
+        "error_model": "numpy",
+        "fastmath": {"contract", "nsz"} if fused else {"nsz"},
+        "nogil": True,
+        "no_cfunc_wrapper": True,
+        "_nrt": False,  # numba's reference counts, which are for what kernels allocate
+    }
+
+
+# -- compiling ------------------------------------------------------------------------------------------------
+
+
+class _PartLibrary(JITCodeLibrary):
+    """A part's code as translated: optimised and turned into machine code only within a kernel."""
+
+    def _optimize_functions(self, module: Any) -> None:
+        pass
+
+    def finalize(self) -> None:
+        for library in dict.fromkeys(self._linking_libraries):
+            self._final_module.link_in(library._get_module_for_linking(), preserve=True)
+        self._finalized = True
+
+
+class _KernelLibrary(JITCodeLibrary):
+    """A kernel's code with its own copy of all its parts."""
+
+    def _optimize_functions(self, module: Any) -> None:
+        pass
+
+    def _optimize_final_module(self) -> None:
+        for function in self._final_module.functions:
+            if function.linkage == Linkage.linkonce_odr:
+                function.linkage = Linkage.internal
+        super()._optimize_final_module()
+
+
+class _KernelCompiler(CompilerBase):
+    library = _KernelLibrary
+
+    def define_pipelines(self) -> list[Any]:
+        state = self.state
+        state.library = self.library(state.targetctx.codegen(), state.func_id.func_qualname)
+        state.library.enable_object_caching()
+        passes = DefaultPassBuilder.define_nopython_pipeline(state)
+        passes.passes = [one for one in passes.passes if one[0] not in _NEEDLESS]
+        self.extend(passes)
+        passes.finalize()
+        return [passes]
+
+    def extend(self, passes: Any) -> None:
+        """Add to numba's passes."""
+
+
+class _PartCompiler(_KernelCompiler):
+    library = _PartLibrary
+
+    def extend(self, passes: Any) -> None:
+        self.state.flags.no_compile = True
+        passes.add_pass_after(_Offer, NativeLowering)
+
+
+@register_pass(mutates_CFG=False, analysis_only=False)
+class _Offer(LoweringPass):
+    """Make a part known to its callers, as numba does with functions that it has turned into machine code."""
+
+    _name = "offer_part"
+
+    def __init__(self) -> None:
+        LoweringPass.__init__(self)
+
+    def run_pass(self, state: Any) -> bool:
+        lowered = state.cr
+        names = (lowered.fndesc.lookup_module(), lowered.fndesc.qualname, "")
+        entry = _dynfunc.make_function(*names, 0, lowered.env, (state.library,))  # never called
+        state.targetctx.insert_user_function(entry, lowered.fndesc, [state.library])
+        state.cr = lowered._replace(cfunc=entry)
+        return True
+
+
+# numba tries its rules for lists, dictionaries and strings before those for arrays, unless a rule is for this target
+for _operator, _rule in ((operator.getitem, GetItemBuffer), (operator.setitem, SetItemBuffer)):
+    infer_global(_operator)(type(_rule.__name__, (_rule,), {"metadata": {"target": "cpu"}}))
+
+
+# -- keeping --------------------------------------------------------------------------------------------------
+
+
+def _depends_on() -> str:
+    """A hash of all that the machine code of kernels depends on."""
+    root = Path(__file__).parent
+    sources = [(str(path.relative_to(root)), path.read_bytes()) for path in sorted(root.rglob("*.py"))]
+    versions = (numba.__version__, llvmlite.__version__, np.__version__, sys.implementation.cache_tag)
+    processor = cpu_target.target_context.codegen().magic_tuple()
+    return hashlib.sha256(repr((sources, versions, processor)).encode()).hexdigest()[:32]
+
+
+@cache
+def kept_in() -> Path | None:
+    """The directory of kernels for these sources and this processor; None where there can be none."""
+    try:
+        base = Path(numba.config.CACHE_DIR) if numba.config.CACHE_DIR else cache_directory()
+        path = base / "kernels" / _depends_on()
+        if not path.is_dir():
+            path.mkdir(parents=True, exist_ok=True)
+            _forget_oldest(path.parent)
+    except (OSError, RuntimeError):
+        return None
+    return path
+
+
+def _forget_oldest(directory: Path) -> None:
+    """Leave the newest of the directories of kernels; one in use that goes is made again."""
+    with suppress(OSError):
+        for old in sorted(directory.iterdir(), key=lambda one: one.stat().st_mtime)[:-KEPT]:
+            shutil.rmtree(old, ignore_errors=True)
+
+
+class _Kept(_Cache):
+    """The machine code of one kernel on disk, a file for each signature; numba's own cache cannot wait for others."""
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        self._name = f"{function.__module__}.{function.__qualname__}"
+        self._lock: IO[bytes] | None = None
+
+    @property
+    def cache_path(self) -> str:
+        return str(kept_in())
+
+    def load_overload(self, signature: Any, target_context: Any) -> Any:
+        """The compiled kernel; None where the caller is to compile it, and has the lock for that."""
+        path = self._path(signature)
+        if path is None:
+            return None
+        target_context.refresh()
+        code = _read(path)
+        if code is None:
+            self._lock = _lock(path)
+            code = _read(path)
+            if code is None:
+                return None
+            self._release()
+        return CompileResult._rebuild(target_context, *pickle.loads(code))
+
+    def save_overload(self, signature: Any, result: Any) -> None:
+        path = self._path(signature)
+        if path is not None:
+            code = dumps(result._reduce())
+            with suppress(OSError):
+                write_whole(path, hashlib.sha256(code).digest(), code)
+        self._release()
+
+    def _path(self, signature: Any) -> Path | None:
+        directory = kept_in()
+        if directory is None:
+            return None
+        types_taken = hashlib.sha256(repr(signature).encode()).hexdigest()[:16]
+        return directory / f"{self._name}-{types_taken}.code"
+
+    def _release(self) -> None:
+        if self._lock is not None:
+            self._lock.close()
+            self._lock = None
+
+    def enable(self) -> None:
+        """Always."""
+
+    def disable(self) -> None:
+        """Never."""
+
+    def flush(self) -> None:
+        """Forget nothing: what is kept is never stale."""
+
+
+def _read(path: Path) -> bytes | None:
+    """What was written to a file; None if it is not there or not what was written."""
+    try:
+        content = path.read_bytes()
+    except OSError:
+        return None
+    size = hashlib.sha256().digest_size
+    return content[size:] if hashlib.sha256(content[size:]).digest() == content[:size] else None
+
+
+def _lock(path: Path) -> IO[bytes] | None:
+    """The lock on a kernel's file, which goes with its process; None where there are no locks, or not in time."""
+    end = time.monotonic() + PATIENCE
+    try:
+        file = path.with_suffix(".lock").open("ab")
+    except OSError:
+        return None
+    while True:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            return file
+        except BlockingIOError:
+            if time.monotonic() < end:
+                time.sleep(0.02)
+                continue
+        except OSError:
+            pass
+        file.close()
+        return None
