@@ -148,7 +148,7 @@ class Work(NamedTuple):
             result=aligned((grid.block,)),
             gaussian=aligned((grid.block,)),
             flow=(aligned(guarded), aligned(guarded), aligned(guarded)),
-            scratch=aligned((drift.scratch_size(grid.points[2], grid.slab_size),)),
+            scratch=aligned((drift.scratch_size(grid.points, grid.slab_size),)),
             south_moments=np.zeros((nx, 5)),
             rates=np.zeros(11),
             extremes=np.zeros(16),

@@ -35,11 +35,15 @@ from rvm_mpi.velocity import TAPS, Y_FACE, Y_LEAST, Y_OPEN, Z_FACE, Z_LEAST, Z_O
 ORDERS = {"kappa": 3, "seventh-order": 7}
 #: rows of a slab that `scratch` holds
 SCRATCH_ROWS = 9
+#: nodes of a slab, at most, that are updated for every xi_x before the next: what belongs to them stays in the nearest
+#: cache
+PIECE = 256
 
 
-def scratch_size(points_z: int, slab_size: int) -> int:
-    """Doubles of work space: rows of a slab, each with zeros before and after it, and coefficients of a face."""
-    return SCRATCH_ROWS * (slab_size + 2 * _guard(points_z)) + 2 * TAPS
+def scratch_size(points: tuple[int, int, int], slab_size: int) -> int:
+    """Doubles of work space: rows of a slab, zeros before and after each, coefficients, fluxes between pieces."""
+    rows = SCRATCH_ROWS * (slab_size + 2 * _guard(points[2]))
+    return rows + 2 * TAPS + points[0] * _whole_vectors(points[2])
 
 
 @part
@@ -52,6 +56,19 @@ def reach(points_z, slab_size):  # type: ignore[no-untyped-def]
 def _guard(points_z):  # type: ignore[no-untyped-def]
     """Zeros before and after a row of `scratch`: what the widest stencil reaches in y."""
     return (TAPS // 2) * points_z + 8
+
+
+@part
+def _whole_vectors(count):  # type: ignore[no-untyped-def]
+    """The count rounded up to whole vectors."""
+    return (count + 7) // 8 * 8
+
+
+@part
+def _piece(points_z):  # type: ignore[no-untyped-def]
+    """Nodes of a piece: whole vectors and whole rows along z, so that no flux along z crosses into the next."""
+    step = 8 * points_z // math.gcd(8, points_z)
+    return max(PIECE // step, 1) * step
 
 
 def stencil(order: int) -> np.ndarray:
@@ -109,73 +126,85 @@ def update(g, cell, grid, rates, old, weight_old, weight_new, dt, scratch, resul
     a, rising_x, falling_x, rising_y, falling_y = turning_rates(rates)
     per_x, per_y, per_z, push_x, push_y, push_z = pushes(rates)
     zero = splat(0.0)
-    # the part of the faces' speeds in y and z (over h) that is the same for every xi_x
-    for n in range(0, slab_size, 8):
-        y, yf = load(slab, Y * slab_size + n), load(slab, Y_FACE * slab_size + n)
-        zf = load(slab, Z_FACE * slab_size + n)
-        turn = y * where_positive(y, rising_y, falling_y)
-        store(scratch, turns + n, turn)
-        turn_yf = yf * yf * where_positive(yf, rising_y, falling_y)
-        store(scratch, speeds_y + n, load(slab, Y_OPEN * slab_size + n) * push_y - turn_yf * per_y)
-        store(scratch, speeds_z + n, load(slab, Z_OPEN * slab_size + n) * push_z - zf * turn * per_z)
-        store(scratch, slope_x + n, zero)
-        store(scratch, through_x + n, zero)
     has_y, has_z = points_y > 1, points_z > 1
     mix_old = weight_old != 0.0
-    for k in range(points_x):
-        base = cell + k * slab_size
-        at = k * slab_size
-        xk, xf = x[k], x_face[k]
-        along = a + (rising_x if xk > 0.0 else falling_x) * xk
-        along_y, along_z = -along * per_y, -along * per_z
-        inside = 1.0 if k < points_x - 1 else 0.0
-        least_x = splat(LEAST if k < points_x - 2 else math.inf)
-        sx0 = inside * per_x * (-(a + (rising_x if xf > 0.0 else falling_x) * xf) * xf) + inside * push_x
-        sx1 = -inside * per_x * xf
-        # slopes: of the next slab along x, of this one along y and z
-        for n in range(0, slab_size, 8):
-            prefetch(old, cell + grid.block + at + n)
-            c = load(g, base + n)
-            next_x = load(g, base + slab_size + n)
-            step, ahead = next_x - c, load(g, base + 2 * slab_size + n) - next_x
-            down_y, up_y = c - load(g, base + n - points_z), load(g, base + n + points_z) - c
-            down_z, up_z = c - load(g, base + n - 1), load(g, base + n + 1) - c
-            least_y, least_z = load(slab, Y_LEAST * slab_size + n), load(slab, Z_LEAST * slab_size + n)
-            bend_x, bend_y, bend_z = van_leer3(step, ahead, least_x, down_y, up_y, least_y, down_z, up_z, least_z)
-            store(scratch, slope_next + n, bend_x)
-            store(scratch, slope_y + n, bend_y)
-            store(scratch, slope_z + n, bend_z)
-        before_z = zero
-        for n in range(0, slab_size, 8):
-            c = load(g, base + n)
-            r = load(result, at + n)
+    piece, above = _piece(points_z), _whole_vectors(points_z)
+    for begin in range(0, slab_size, piece):
+        end = min(begin + piece, slab_size)
+        # fluxes along y from this piece to the next, for one xi_x after the other
+        between = SCRATCH_ROWS * row + 2 * TAPS
+        # the part of the faces' speeds in y and z (over h) that is the same for every xi_x
+        for n in range(begin, end, 8):
+            y, yf = load(slab, Y * slab_size + n), load(slab, Y_FACE * slab_size + n)
+            zf = load(slab, Z_FACE * slab_size + n)
+            turn = y * where_positive(y, rising_y, falling_y)
+            store(scratch, turns + n, turn)
+            turn_yf = yf * yf * where_positive(yf, rising_y, falling_y)
+            store(scratch, speeds_y + n, load(slab, Y_OPEN * slab_size + n) * push_y - turn_yf * per_y)
+            store(scratch, speeds_z + n, load(slab, Z_OPEN * slab_size + n) * push_z - zf * turn * per_z)
+            store(scratch, slope_x + n, zero)
+            store(scratch, through_x + n, zero)
+        for k in range(points_x):
+            base = cell + k * slab_size
+            at = k * slab_size
+            xk, xf = x[k], x_face[k]
+            along = a + (rising_x if xk > 0.0 else falling_x) * xk
+            along_y, along_z = -along * per_y, -along * per_z
+            inside = 1.0 if k < points_x - 1 else 0.0
+            least_x = splat(LEAST if k < points_x - 2 else math.inf)
+            sx0 = inside * per_x * (-(a + (rising_x if xf > 0.0 else falling_x) * xf) * xf) + inside * push_x
+            sx1 = -inside * per_x * xf
+            # slopes: of the next slab along x, of this one along y and z, there for one row of the next piece too
+            for n in range(begin, min(end + above, slab_size), 8):
+                prefetch(old, cell + grid.block + at + n)
+                c = load(g, base + n)
+                next_x = load(g, base + slab_size + n)
+                step, ahead = next_x - c, load(g, base + 2 * slab_size + n) - next_x
+                down_y, up_y = c - load(g, base + n - points_z), load(g, base + n + points_z) - c
+                down_z, up_z = c - load(g, base + n - 1), load(g, base + n + 1) - c
+                least_y, least_z = load(slab, Y_LEAST * slab_size + n), load(slab, Z_LEAST * slab_size + n)
+                bend_x, bend_y, bend_z = van_leer3(step, ahead, least_x, down_y, up_y, least_y, down_z, up_z, least_z)
+                store(scratch, slope_next + n, bend_x)
+                store(scratch, slope_y + n, bend_y)
+                store(scratch, slope_z + n, bend_z)
+            if begin > 0:
+                for n in range(0, above, 8):
+                    store(scratch, through_y + begin - points_z + n, load(scratch, between + n))
+            before_z = zero
+            for n in range(begin, end, 8):
+                c = load(g, base + n)
+                r = load(result, at + n)
 
-            s = load(scratch, turns + n) * sx1 + splat(sx0)
-            left = c + load(scratch, slope_x + n)
-            right = load(g, base + slab_size + n) - load(scratch, slope_next + n)
-            f = upwind(s, left, right)
-            r = r + (load(scratch, through_x + n) - f)
-            store(scratch, through_x + n, f)
+                s = load(scratch, turns + n) * sx1 + splat(sx0)
+                left = c + load(scratch, slope_x + n)
+                right = load(g, base + slab_size + n) - load(scratch, slope_next + n)
+                f = upwind(s, left, right)
+                r = r + (load(scratch, through_x + n) - f)
+                store(scratch, through_x + n, f)
 
-            if has_y:
-                s = load(slab, Y_FACE * slab_size + n) * along_y + load(scratch, speeds_y + n)
-                left = c + load(scratch, slope_y + n)
-                right = load(g, base + n + points_z) - load(scratch, slope_y + n + points_z)
-                f = upwind(s, left, right)
-                store(scratch, through_y + n, f)
-                r = r + (load(scratch, through_y + n - points_z) - f)
-            if has_z:
-                s = load(slab, Z_FACE * slab_size + n) * along_z + load(scratch, speeds_z + n)
-                left = c + load(scratch, slope_z + n)
-                right = load(g, base + n + 1) - load(scratch, slope_z + n + 1)
-                f = upwind(s, left, right)
-                r = r + (shifted(before_z, f) - f)
-                before_z = f
-            r = (c + r * dt) * weight_new
-            if mix_old:
-                r = r + load(old, cell + at + n) * weight_old
-            store(result, at + n, r)
-        slope_x, slope_next = slope_next, slope_x
+                if has_y:
+                    s = load(slab, Y_FACE * slab_size + n) * along_y + load(scratch, speeds_y + n)
+                    left = c + load(scratch, slope_y + n)
+                    right = load(g, base + n + points_z) - load(scratch, slope_y + n + points_z)
+                    f = upwind(s, left, right)
+                    store(scratch, through_y + n, f)
+                    r = r + (load(scratch, through_y + n - points_z) - f)
+                if has_z:
+                    s = load(slab, Z_FACE * slab_size + n) * along_z + load(scratch, speeds_z + n)
+                    left = c + load(scratch, slope_z + n)
+                    right = load(g, base + n + 1) - load(scratch, slope_z + n + 1)
+                    f = upwind(s, left, right)
+                    r = r + (shifted(before_z, f) - f)
+                    before_z = f
+                r = (c + r * dt) * weight_new
+                if mix_old:
+                    r = r + load(old, cell + at + n) * weight_old
+                store(result, at + n, r)
+            if end < slab_size:
+                for n in range(0, above, 8):
+                    store(scratch, between + n, load(scratch, through_y + end - points_z + n))
+            between += above
+            slope_x, slope_next = slope_next, slope_x
 
 
 @part

@@ -14,7 +14,7 @@ OMEGA = st.floats(1e-3, 10.0)
 PAIR = st.tuples(OMEGA, OMEGA)
 WIDTH = st.floats(1e-2, 1e3)
 CASES = {
-    "points": st.sampled_from(SHAPES),
+    "points": st.sampled_from([*SHAPES, (4, 18, 16), (3, 20, 15)]),
     "seed": st.integers(0, 2**32 - 1),
     "both_signs": st.booleans(),
     "omega": PAIR,
