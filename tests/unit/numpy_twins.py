@@ -100,7 +100,7 @@ def drift_rate(grid, g, turning, gradient, push, order=0):
         if n == 1:
             continue
         h, v = grid.spacing[axis], grid.half_width[axis]
-        where = nodes(grid)
+        where = list(nodes(grid))
         shape = [1, 1, 1]
         shape[axis] = n - 1
         where[axis] = np.array([v * (2 * i + 2 - n) / n for i in range(n - 1)]).reshape(shape)
@@ -111,7 +111,7 @@ def drift_rate(grid, g, turning, gradient, push, order=0):
         speed, values = np.moveaxis(speed, axis, 0), np.moveaxis(g, axis, 0)
         through = np.zeros((n + 1, *values.shape[1:]))
         if order:
-            where = nodes(grid)
+            where = list(nodes(grid))
             along = turning + sum(signed(*gradient[q], where[q]) * where[q] for q in range(2))
             product = np.moveaxis((-along * where[axis] + push[axis]) * g, axis, 0)
             beyond = [((order + 1) // 2,) * 2, (0, 0), (0, 0)]
