@@ -105,6 +105,7 @@ def main() -> None:
     parser.add_argument("--cells", type=int, nargs="+", default=[64, 64])
     parser.add_argument("--velocity", type=int, nargs="+", default=[24, 24, 8])
     parser.add_argument("--steps", type=int, default=60)
+    parser.add_argument("--skip", type=int, default=3, help="steps left out at the beginning; 400 are past the noise")
     options = parser.parse_args()
     clock = Clock()
     for part, functions in PARTS.items():
@@ -115,18 +116,18 @@ def main() -> None:
     job = Job.from_file(options.job) if options.job else _job(tuple(options.cells), tuple(options.velocity))
     end = options.steps * estimates.first_step(job).dt
     settings = job.model_dump(exclude_none=True)
-    settings["time"]["max_steps"] = options.steps
+    settings["time"]["max_steps"] = options.skip + options.steps
     settings["output"]["checkpoint_every"] = "10 min"
     settings["output"]["times"] = [end * k / 10 for k in range(6)]
     comm = MPI.COMM_WORLD
     directory = comm.bcast(tempfile.mkdtemp() if comm.rank == 0 else None)
     simulation.run_job(Job.from_dict(settings, name=job.name), Path(directory) / "run", quiet=True)
-    report(clock, comm)
+    report(clock, comm, options.skip)
 
 
-def report(clock: Clock, comm: MPI.Comm) -> None:
-    """Print the table on rank 0."""
-    ordinary = [step for step in clock.steps[3:] if not (step["snapshot"] or step["checkpoint"])]
+def report(clock: Clock, comm: MPI.Comm, skip: int) -> None:
+    """Print the table on rank 0, of the steps from number `skip` on."""
+    ordinary = [step for step in clock.steps[skip:] if not (step["snapshot"] or step["checkpoint"])]
     total = statistics.median(sum(step.values()) for step in ordinary)
     medians = {part: statistics.median(step[part] for step in ordinary) for part in [*PARTS, "rest"]}
     apart = {part: statistics.median(clock.whole[part][1:] or clock.whole[part]) for part in ("snapshot", "checkpoint")}

@@ -35,6 +35,8 @@ SECONDS_PER_NODE = 8e-9
 """Nominal time of that operator's transforms and of its packing, a velocity node."""
 DRIFT_SHARES = (1.0, 0.25, 0.0625)
 """Shares of the drift's rate that a step may be made for; what a cell has beyond, it takes in pieces."""
+FITS = 1.05
+"""Courant numbers up to this times the one wanted fit: neighbours in nearly the same state are to be treated alike."""
 PIECE = 0.3
 """Time of a piece of the drift over that of a cell's stage."""
 STAGES = 2
@@ -377,7 +379,7 @@ def pieces_of_drift(transport: np.ndarray, drift: np.ndarray, rate: float) -> fl
     """
     if not rate > 0.0:
         return 0.0
-    return float(np.where(transport + drift > rate, np.ceil(drift / rate), 0.0).sum())
+    return float(np.where(transport + drift > FITS * rate, np.ceil(drift / rate), 0.0).sum())
 
 
 def cheapest_share(rates: Sequence[float], pieces: Sequence[float], cells: int) -> int:

@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rvm_mpi.collisions.es_bgk import FAILED, REPLACED, TOO_COLD, discrete_gaussian, discrete_maxwellian
+from rvm_mpi.estimates import FITS
 from rvm_mpi.kernels import kernel, part
 from rvm_mpi.kinetic import drift
 from rvm_mpi.kinetic.conservation import SUMS, add_correction, correct, weighted_sums
@@ -28,10 +29,6 @@ BOX_MASS, BOX_ENERGY = 9, 10
 DIAGNOSTICS = 11
 #: what STATUS says
 HEALTHY, TOO_COLD_FOR_GRID, NO_GAUSSIAN, NO_CORRECTION, NOT_POSITIVE, NOT_A_NUMBER = range(6)
-
-
-#: what rounding may add to a Courant number that dt was made for
-FITS = 1.0 + 1e-9
 
 
 class Grid(NamedTuple):
@@ -262,7 +259,7 @@ def drift_pieces(dt, crossing, drifting, courant):  # type: ignore[no-untyped-de
     """
     if dt * (crossing + drifting) <= FITS * courant:
         return 0
-    return max(1, math.ceil(dt * drifting / (FITS * courant)))
+    return max(1, math.ceil(dt * drifting / courant))
 
 
 @part
