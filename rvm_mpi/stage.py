@@ -259,7 +259,9 @@ def drift_pieces(dt, crossing, drifting, courant):  # type: ignore[no-untyped-de
     """
     if dt * (crossing + drifting) <= FITS * courant:
         return 0
-    return max(1, math.ceil(dt * drifting / courant))
+    wanted = dt * drifting / courant
+    # a rate that is no number ends the run after the sweep, which must not go on for ever before
+    return max(1, math.ceil(wanted)) if wanted < 1e6 else 1
 
 
 @part

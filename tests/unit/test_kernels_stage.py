@@ -220,6 +220,11 @@ def pieces_of(stepper, dt):
     return np.vectorize(lambda t, a: stage.drift_pieces(dt, t, a, stepper.model.courant), otypes=[int])(*rates)
 
 
+@pytest.mark.parametrize("rate", [np.nan, np.inf, 1e300])
+def test_a_rate_that_is_no_number_is_one_piece(rate):
+    assert stage.drift_pieces(0.1, 1.0, rate, 0.5) == 1
+
+
 @SETTINGS
 @given(crossing=st.floats(0.0, 10.0), drifting=st.floats(0.0, 1e3), dt=st.floats(0.0, 1.0))
 def test_pieces_of_the_drift(crossing, drifting, dt):
