@@ -44,6 +44,11 @@ checkpoint_every = "1e-9 s"   # after each step
 """
 
 
+def _heed_ctrl_c():
+    """What is started from tests in the background of a shell would ignore Ctrl-C, and no script could change that."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
 class Started:
     """`mpirun -n RANKS` of program.py with these faults, running.
 
@@ -57,7 +62,7 @@ class Started:
         with log.open("w") as stream:
             self.process = subprocess.Popen(
                 line, cwd=ROOT, env=mpi_environment() | dict(environment), stdin=subprocess.DEVNULL,
-                stdout=stream, stderr=stream, start_new_session=True,
+                stdout=stream, stderr=stream, start_new_session=True, preexec_fn=_heed_ctrl_c,
             )  # fmt: skip
         self.ranks = []
 

@@ -56,7 +56,7 @@ def test_a_signal_to_a_rank(place, whole, phase, tally):
 @pytest.mark.parametrize("number", [signal.SIGTERM, pytest.param(signal.SIGHUP, marks=pytest.mark.long), "Ctrl-C"])
 def test_what_mpirun_would_answer_by_killing_reaches_the_ranks_through_the_script(place, whole, number, tally):
     arguments = ["run", place / "job.toml", "--output", place / "run"]
-    with Started(2, ["0.3:step:all:each"], *arguments, mpirun=SCRIPT, log=place / "log") as started:
+    with Started(2, ["0.1:step:all:each"], *arguments, mpirun=SCRIPT, log=place / "log") as started:
         wait_for(lambda: rundir.checkpoints(place / "run"), started)
         if number == "Ctrl-C":  # a terminal sends it to the group
             os.killpg(started.process.pid, signal.SIGINT)
