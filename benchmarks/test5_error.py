@@ -20,8 +20,8 @@ from tests.verification.kinetic_cases import table
 JOB = Path(__file__).resolve().parent.parent / "jobs" / "test5_shock_kinetic.toml"
 END = 0.05
 SMALL, PAPER, LARGE = (16, 16, 8), (24, 24, 8), (32, 32, 8)
-GRIDS = [(8, SMALL), (16, SMALL), (16, PAPER), (24, PAPER), (32, PAPER), (32, LARGE)]
-FINEST = (48, (32, 32, 12))
+GRIDS = [(8, SMALL), (16, SMALL), (16, PAPER), (24, PAPER)]
+FINEST = (40, LARGE)
 
 
 def solve(cells: int, points: tuple[int, int, int]):
