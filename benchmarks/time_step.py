@@ -1,8 +1,8 @@
-"""What the drift in pieces saves, at what error: `python benchmarks/time_step.py` (minutes on one core).
+"""What the drift in substeps saves, at what error: `python benchmarks/time_step.py` (minutes on one core).
 
 Tests 4 and 5 on small grids, kinetic and macroscopic scaling: steps, seconds and relative L1 errors of density and
-temperature, with the drift in pieces and with steps short enough that it needs none, for some values of `cfl`. The
-errors in time are those against the shortest steps without pieces on the same grid; the error of the grid, beside
+temperature, with the drift in substeps and with steps short enough that it needs none, for some values of `cfl`. The
+errors in time are those against the shortest steps without substeps on the same grid; the error of the grid, beside
 which they are to be seen, is that of the same run against one on twice the cells.
 """
 
@@ -27,7 +27,7 @@ CASES = {
 }
 
 
-def solve(name: str, cells: int, cfl: float, pieces: bool):
+def solve(name: str, cells: int, cfl: float, substeps: bool):
     """Density and temperature (cells, cells) at the end, the number of steps and the seconds of a core they took."""
     _, points, end = CASES[name]
     settings = [
@@ -36,7 +36,7 @@ def solve(name: str, cells: int, cfl: float, pieces: bool):
     ]  # fmt: skip
     job = Job.from_file(ROOT / "jobs" / f"{name}.toml", [f"{key}={str(value).lower()}" for key, value in settings])
     shares = stepping.DRIFT_SHARES
-    if not pieces:
+    if not substeps:
         stepping.DRIFT_SHARES = (1.0,)
     simulation = Simulation(job)
     begin = time.process_time()
@@ -66,11 +66,11 @@ def main() -> None:
     for name in options.jobs:
         cells = CASES[name][0]
         exact, steps, seconds = solve(name, cells, options.finest, False)
-        rows = [("no pieces", options.finest, steps, seconds, 0.0, 0.0)]
-        for pieces in (False, True):
+        rows = [("no substeps", options.finest, steps, seconds, 0.0, 0.0)]
+        for substeps in (False, True):
             for cfl in (0.5, 0.25, 0.125):
-                found, steps, seconds = solve(name, cells, cfl, pieces)
-                rows.append(("pieces" if pieces else "no pieces", cfl, steps, seconds, *errors(found, exact)))
+                found, steps, seconds = solve(name, cells, cfl, substeps)
+                rows.append(("substeps" if substeps else "no substeps", cfl, steps, seconds, *errors(found, exact)))
         # white noise is another state on other cells
         if "test5" in name:
             fine = solve(name, 2 * cells, 0.5, True)[0]

@@ -55,7 +55,7 @@ class BenchResult:
     gflops : fused multiply-adds, two operations each, a core
     stage_ns : of a phase-space cell and stage in the kinetic stages alone, ghost exchange included, a core
     uncorrected_ns : the same without the conservative correction of g
-    step_ns : the same from whole steps: with the fluid, diagnostics and all, and the drift in pieces where that pays
+    step_ns : the same from whole steps: with the fluid, diagnostics and all, and the drift in substeps where that pays
     stage_per_triad, uncorrected_per_triad, step_per_triad : ratios, the median over the rounds of each round's own
     cells_per_second : phase-space cell stages per second of all ranks together, whole steps
     """
@@ -119,7 +119,7 @@ def measure(cells: tuple[int, ...], velocity: tuple[int, ...]) -> tuple[BenchRes
     flops: list[float] = []
     for _ in range(ROUNDS):
         triad = _timed(domain.comm, lambda: _triad(*arrays, 2.0)) / TRIAD_SIZE
-        dt = 0.9 * CFL / kinetic.rates[0]  # no cell takes its drift in pieces
+        dt = 0.9 * CFL / kinetic.rates[0]  # no cell takes its drift in substeps
 
         def both_stages(dt: float = dt) -> None:
             kinetic.first_stage(dt)

@@ -34,11 +34,11 @@ OPERATIONS_PER_SECOND = 4e10
 SECONDS_PER_NODE = 8e-9
 """Nominal time of that operator's transforms and of its packing, a velocity node."""
 DRIFT_SHARES = (1.0, 0.25, 0.0625)
-"""Shares of the drift's rate that a step may be made for; what a cell has beyond, it takes in pieces."""
+"""Shares of the drift's rate that a step may be made for; what a cell has beyond, it takes in substeps."""
 FITS = 1.05
 """Courant numbers up to this times the one wanted fit: neighbours in nearly the same state are to be treated alike."""
-PIECE = 0.3
-"""Time of a piece of the drift over that of a cell's stage."""
+SUBSTEP = 0.3
+"""Time of a substep of the drift over that of a cell's stage."""
 STAGES = 2
 GHOSTS_OF_G = 2
 GHOSTS_OF_FLUID = 3
@@ -348,8 +348,8 @@ def first_step(job: Job) -> FirstStep:
         later = job.time.dt
     else:
         rates = [float((transport + share * drift).max()) for share in DRIFT_SHARES]
-        pieces = [pieces_of_drift(transport, drift, rate) for rate in rates]
-        chosen = cheapest_share(rates, pieces, drift.size)
+        substeps = [drift_substeps(transport, drift, rate) for rate in rates]
+        chosen = cheapest_share(rates, substeps, drift.size)
         rate, share = rates[chosen], DRIFT_SHARES[chosen]
         worst = np.unravel_index(np.argmax(transport + share * drift), drift.shape)
         mostly = "transport in space" if transport[worst] >= share * drift[worst] else "drift in velocity"
@@ -372,8 +372,8 @@ def first_step(job: Job) -> FirstStep:
     )
 
 
-def pieces_of_drift(transport: np.ndarray, drift: np.ndarray, rate: float) -> float:
-    """Sum over cells of the pieces that their drift is taken in, with a step of one Courant number over `rate`.
+def drift_substeps(transport: np.ndarray, drift: np.ndarray, rate: float) -> float:
+    """Sum over cells of the substeps that their drift is taken in, with a step of one Courant number over `rate`.
 
     transport, drift: sums of max|a|/h over the directions of space and of velocity, in arrays of any shape.
     """
@@ -382,12 +382,12 @@ def pieces_of_drift(transport: np.ndarray, drift: np.ndarray, rate: float) -> fl
     return float(np.where(transport + drift > FITS * rate, np.ceil(drift / rate), 0.0).sum())
 
 
-def cheapest_share(rates: Sequence[float], pieces: Sequence[float], cells: int) -> int:
-    """Which of `DRIFT_SHARES` to make the step for: a long one costs more, for what it takes in pieces.
+def cheapest_share(rates: Sequence[float], substeps: Sequence[float], cells: int) -> int:
+    """Which of `DRIFT_SHARES` to make the step for: a long one costs more, for what it takes in substeps.
 
-    rates, pieces: for each share, the largest rate over all cells and the sum of their pieces with it.
+    rates, substeps: for each share, the largest rate over all cells and the sum of their substeps with it.
     """
-    return int(np.argmin([rate * (cells + PIECE * count) for rate, count in zip(rates, pieces, strict=True)]))
+    return int(np.argmin([rate * (cells + SUBSTEP * count) for rate, count in zip(rates, substeps, strict=True)]))
 
 
 def _growth(job: Job, start: StartFields) -> np.ndarray:

@@ -68,7 +68,7 @@ class Model(NamedTuple):
     """What is solved: numbers the kernels branch on or multiply by.
 
     `courant` is the largest Courant number that transport and drift are taken at together: beyond it a cell's drift is
-    taken by itself, in as many pieces as it needs.
+    taken by itself, in as many substeps as it needs.
     """
 
     kinetic: bool
@@ -247,8 +247,8 @@ def blend(nu, d, first, sums, wanted, temperature, weight_first, weight_last, wh
 
 
 @part
-def drift_pieces(dt, crossing, drifting, courant):  # type: ignore[no-untyped-def]
-    """In how many pieces a cell's drift is taken by itself; 0 where it goes together with transport.
+def drift_substeps(dt, crossing, drifting, courant):  # type: ignore[no-untyped-def]
+    """In how many substeps a cell's drift is taken by itself; 0 where it goes together with transport.
 
     Parameters
     ----------
@@ -265,13 +265,13 @@ def drift_pieces(dt, crossing, drifting, courant):  # type: ignore[no-untyped-de
 
 
 @part
-def split(g, old, cell, grid, rates, second, weight_new, gaussian, dt, pieces, work):  # type: ignore[no-untyped-def]
+def take_substeps(g, old, cell, grid, rates, second, weight_new, gaussian, dt, substeps, work):  # type: ignore[no-untyped-def]
     """The explicit part of a stage where the drift is too fast for it: `work.result` from the change by transport.
 
     Heun's method in the frame that moves with the drift (Lawson): with P the drift over dt, the first stage is
     P(g + dt T(g)), the second P(1/2 old + gaussian * work.gaussian) + weight_new (g + dt T(g)). P is the strong
-    stability preserving Runge-Kutta method of second order with pieces + 1 stages (Spiteri and Ruuth, SIAM J. Numer.
-    Anal. 40, 2002), each a forward Euler step over dt/pieces; so g stays positive where each of these and the
+    stability preserving Runge-Kutta method of second order with substeps + 1 stages (Spiteri and Ruuth, SIAM J. Numer.
+    Anal. 40, 2002), each a forward Euler step over dt/substeps; so g stays positive where each of these and the
     transport keep it so.
     """
     block, result = grid.block, work.result
@@ -289,13 +289,13 @@ def split(g, old, cell, grid, rates, second, weight_new, gaussian, dt, pieces, w
             store(start, at + n, moved)
             store(result, n, splat(0.0))
     current = start
-    for piece in range(pieces + 1):
-        last = piece == pieces
-        weight_start, weight = (1.0 / (pieces + 1), pieces / (pieces + 1)) if last else (0.0, 1.0)
+    for substep in range(substeps + 1):
+        last = substep == substeps
+        weight_start, weight = (1.0 / (substeps + 1), substeps / (substeps + 1)) if last else (0.0, 1.0)
         here = target[at : at + block]
         for n in range(0, block, 8):
             store(here, n, splat(0.0))
-        now = dt / pieces
+        now = dt / substeps
         drift.apply(grid.stencil, current, at, grid, rates, start, weight_start, weight, now, work.scratch, here)
         current, target, spare = target, spare, target
     for n in range(0, block, 8):
@@ -533,13 +533,13 @@ def sweep(  # type: ignore[no-untyped-def]
             first = start.sums[j, i]
             z = depth[j, i] if second or source is not None else 0.0
             weight_old, weight_new = (0.5, 0.5 * (1.0 + z)) if second else (0.0, 1.0)
-            weight_first = 0.5 * z
+            weight_first, replaced = 0.5 * z, 0.0
             if source is not None:
                 at = (j * nx + i) * block
                 for n in range(0, block, 8):
                     store(result, n, load(result, n) + load(source, at + n))
-            pieces = drift_pieces(dt, crossing, drifting, model.courant)
-            if pieces == 0:
+            substeps = drift_substeps(dt, crossing, drifting, model.courant)
+            if substeps == 0:
                 scratch = work.scratch
                 drift.apply(grid.stencil, g, cell, grid, rates, out, weight_old, weight_new, dt, scratch, result)
             else:
@@ -550,8 +550,9 @@ def sweep(  # type: ignore[no-untyped-def]
                     if answer > REPLACED:
                         diagnostics[j, i, STATUS] = TOO_COLD_FOR_GRID if answer == TOO_COLD else NO_GAUSSIAN
                         continue
+                    replaced = 1.0 if answer == REPLACED else 0.0
                     share = weight_first * density_blend / fitted[0]
-                split(g, out, cell, grid, rates, second, weight_new, share, dt, pieces, work)
+                take_substeps(g, out, cell, grid, rates, second, weight_new, share, dt, substeps, work)
                 weight_first = 0.0
 
             # the carried moments at the end of the stage
@@ -652,7 +653,6 @@ def sweep(  # type: ignore[no-untyped-def]
                     diagnostics[j, i, STATUS] = NO_CORRECTION
                     continue
             share = weight_first + weight_last
-            replaced = 0.0
             if model.collisions and share > 0.0:
                 density_blend = blend(
                     model.nu,

@@ -23,9 +23,9 @@ from rvm_mpi.estimates import (
     DRIFT_SHARES,
     cheapest_share,
     collision_frequency,
+    drift_substeps,
     explicit_rate,
     fastest_rate,
-    pieces_of_drift,
 )
 from rvm_mpi.job import JobError
 from rvm_mpi.kernels import Direct, kernel
@@ -534,14 +534,14 @@ class KineticStepper:
     def choose_share(self) -> None:
         """Choose the share of the drift that the next step is made for, the one that takes least time; collective.
 
-        A long step costs more than a short one, for the cells whose drift it takes in pieces.
+        A long step costs more than a short one, for the cells whose drift it takes in substeps.
         """
         self.share = 0
         if self.rates[0] <= self.rates[-1]:
             return
         transport, drift = self._diagnostics[..., stage.TRANSPORT], self._diagnostics[..., stage.DRIFT]
-        pieces = self.domain.total(*(pieces_of_drift(transport, drift, rate) for rate in self.rates))
-        self.share = cheapest_share(self.rates, pieces, math.prod(self.domain.cells))
+        substeps = self.domain.total(*(drift_substeps(transport, drift, rate) for rate in self.rates))
+        self.share = cheapest_share(self.rates, substeps, math.prod(self.domain.cells))
 
     def _fail(self, worst: int) -> None:
         """Name the first bad cell; every rank raises, the line is the same on all.

@@ -295,22 +295,22 @@ class Twin:
         blended = gaussian(self.grid, density, [*mean, *np.zeros(3 - d)], tensor)
         return (explicit + share * blended) / whole
 
-    def step(self, g, omega, carried, dt, omega_end=None, pieces=(None, None)):
+    def step(self, g, omega, carried, dt, omega_end=None, substeps=(None, None)):
         """g, omega and carried moments at the end of a step; omega_end where the scaling is given from outside.
 
-        pieces: (ny, nx) for each stage, in how many pieces the drift is taken by itself, 0 where with transport.
+        substeps: (ny, nx) for each stage, in how many substeps the drift is taken by itself, 0 where with transport.
         """
         growth = None if omega_end is None else np.log(omega_end / omega) / dt
-        middle = self.stage(False, g, omega, carried, g, omega, carried, dt, growth, omega_end, None, pieces[0])
+        middle = self.stage(False, g, omega, carried, g, omega, carried, dt, growth, omega_end, None, substeps[0])
         depth = middle[3]
-        return self.stage(True, g, omega, carried, *middle[:3], dt, growth, omega_end, depth, pieces[1])[:3]
+        return self.stage(True, g, omega, carried, *middle[:3], dt, growth, omega_end, depth, substeps[1])[:3]
 
-    def flow(self, g, drift, dt, pieces):
-        """The drift alone over dt: stages of forward Euler over dt/pieces, the last one averaged with the start."""
+    def flow(self, g, drift, dt, substeps):
+        """The drift alone over dt: stages of forward Euler over dt/substeps, the last one averaged with the start."""
         moved = g
-        for _ in range(pieces):
-            moved = moved + dt / pieces * drift(moved)
-        return (g + pieces * (moved + dt / pieces * drift(moved))) / (pieces + 1)
+        for _ in range(substeps):
+            moved = moved + dt / substeps * drift(moved)
+        return (g + substeps * (moved + dt / substeps * drift(moved))) / (substeps + 1)
 
     def gaussian_of(self, g):
         """The discrete Gaussian G[g] of a cell."""
@@ -318,9 +318,9 @@ class Twin:
         u = s[1:4] / s[0]
         return gaussian(self.grid, s[0], u, self.tensor_of(self.second_moments(g), s[0], u[:d]))
 
-    def stage(self, second, g0, omega0, carried0, g, omega, carried, dt, growth, omega_end, depth, pieces=None):
+    def stage(self, second, g0, omega0, carried0, g, omega, carried, dt, growth, omega_end, depth, substeps=None):
         """One stage from (g, omega, carried); the step began at (g0, omega0, carried0)."""
-        pieces = np.zeros(omega.shape, dtype=int) if pieces is None else pieces
+        substeps = np.zeros(omega.shape, dtype=int) if substeps is None else substeps
         model, grid, d = self.model, self.grid, self.d
         rate, moments, gradient = self.transport(g, omega)
         state = carried if model.conservative else self.of_g(g, omega)
@@ -336,7 +336,7 @@ class Twin:
         velocity = state[..., 1:4] / rho[..., None]
         explicit = np.empty(g.shape)
         z = depth if second else np.zeros(omega.shape)
-        weight_first = np.where(pieces > 0, 0.0, 0.5 * z)
+        weight_first = np.where(substeps > 0, 0.0, 0.5 * z)
         for at in np.ndindex(*omega.shape):
             push = beta[at] * velocity[at] / omega[at]
 
@@ -344,15 +344,15 @@ class Twin:
                 return drift_rate(grid, block, turning[at], gradient[:, :, at[0], at[1]], push, self.order)
 
             moved = g[at] + dt * rate[at]
-            if pieces[at] == 0:
+            if substeps[at] == 0:
                 explicit[at] = moved + dt * drift(g[at])
                 if second:
                     explicit[at] = 0.5 * g0[at] + 0.5 * (1.0 + z[at]) * explicit[at]
             elif second:
                 known = 0.5 * g0[at] + (0.5 * z[at] * self.gaussian_of(g0[at]) if model.collisions else 0.0)
-                explicit[at] = self.flow(known, drift, dt, pieces[at]) + 0.5 * (1.0 + z[at]) * moved
+                explicit[at] = self.flow(known, drift, dt, substeps[at]) + 0.5 * (1.0 + z[at]) * moved
             else:
-                explicit[at] = self.flow(moved, drift, dt, pieces[at])
+                explicit[at] = self.flow(moved, drift, dt, substeps[at])
         new_carried, new_omega = carried, omega_end
         if model.conservative:
             moved = carried + dt * moments

@@ -139,7 +139,7 @@ def test_kinetic_scaling_heats_a_nearly_empty_cell_at_once():
     first = estimates.first_step(job)
     growth = cells * 2 / sqrt(2 * pi) * ((1 - rho) * 4 / 3 - (1 - rho)) / (2 * rho)
     assert first.growth_rate == pytest.approx(growth * (12 + 12 + 4), rel=1e-12)
-    # one cell of sixteen: its drift is best taken in as many pieces as are allowed
+    # one cell of sixteen: its drift is best taken in as many substeps as are allowed
     assert first.dt == pytest.approx(0.5 / (first.growth_rate / 16 + 7 * cells), rel=1e-12)
     assert "drift" in first.limit
     assert first.later == pytest.approx(0.5 / (7 * cells))
@@ -148,7 +148,7 @@ def test_kinetic_scaling_heats_a_nearly_empty_cell_at_once():
 def test_first_step_against_a_loop_over_cells():
     """The definition: dt = cfl / max of sum omega V/dx + share sum |a|max/h, a = (xi . grad omega) xi.
 
-    The share is the one of 1, 1/4, 1/16 that takes least time where a piece of a cell's drift costs 0.3 of its stage.
+    The share is the one of 1, 1/4, 1/16 that takes least time where a substep of a cell's drift costs 0.3 of its stage.
     """
     initial = {"state": "wave", "mode": [1, 1], "temperature_amplitude": 0.9, "velocity": [0.5, 0, 0]}
     job = make(
@@ -169,8 +169,8 @@ def test_first_step_against_a_loop_over_cells():
     for share in (1.0, 0.25, 0.0625):
         dt = 0.5 / max(transport + share * drift for transport, drift in cells)
         most = 1.05 * 0.5
-        pieces = [ceil(dt * drift / 0.5) if dt * (transport + drift) > most else 0 for transport, drift in cells]
-        costs[(120 + 0.3 * sum(pieces)) / dt] = dt
+        substeps = [ceil(dt * drift / 0.5) if dt * (transport + drift) > most else 0 for transport, drift in cells]
+        costs[(120 + 0.3 * sum(substeps)) / dt] = dt
     assert estimates.first_step(job).dt == pytest.approx(costs[min(costs)], rel=1e-12)
 
 

@@ -164,9 +164,9 @@ STEPS = {
 }
 
 
-@pytest.mark.parametrize("pieces", [False, True], ids=["drift with transport", "drift in pieces"])
+@pytest.mark.parametrize("substeps", [False, True], ids=["drift with transport", "drift in substeps"])
 @pytest.mark.parametrize("name", list(STEPS))
-def test_a_step(name, pieces):
+def test_a_step(name, substeps):
     """Conservative steps agree to what the correction's last Newton step leaves of the stress, others to round-off."""
     mapping, tolerance = STEPS[name]
     job = Job.from_dict(mapping)
@@ -190,7 +190,7 @@ def test_a_step(name, pieces):
 
     stepper.first_stage(0.0)
     dt = 0.4 / stepper.rate
-    if pieces:
+    if substeps:
         stepper.model = stepper.model._replace(courant=0.04)
     # the second step starts from a g that is no Gaussian any more
     for _ in range(2):
@@ -198,10 +198,10 @@ def test_a_step(name, pieces):
         if omega_end is not None:
             stepper.set_scaling(omega_end, dt)
         stepper.first_stage(dt)
-        counts = [pieces_of(stepper, dt)]
+        counts = [substeps_of(stepper, dt)]
         stepper.second_stage(dt)
-        counts.append(pieces_of(stepper, dt))
-        assert all((count > 1).all() if pieces else (count == 0).all() for count in counts)
+        counts.append(substeps_of(stepper, dt))
+        assert all((count > 1).all() if substeps else (count == 0).all() for count in counts)
         wanted, wanted_omega, wanted_carried = twin.step(g, omega, carried, dt, omega_end, counts)
         found = unpacked()
         assert np.abs(found - g).max() > 1e-3 * g.max()
@@ -213,30 +213,30 @@ def test_a_step(name, pieces):
         np.testing.assert_allclose(stepper.now.sums, sums, atol=max(tolerance, 1e-9) * np.abs(sums).max())
 
 
-def pieces_of(stepper, dt):
-    """In how many pieces the last stage took the drift of each cell."""
+def substeps_of(stepper, dt):
+    """In how many substeps the last stage took the drift of each cell."""
     local = stepper._diagnostics
     rates = (local[..., stage.TRANSPORT], local[..., stage.DRIFT])
-    return np.vectorize(lambda t, a: stage.drift_pieces(dt, t, a, stepper.model.courant), otypes=[int])(*rates)
+    return np.vectorize(lambda t, a: stage.drift_substeps(dt, t, a, stepper.model.courant), otypes=[int])(*rates)
 
 
 @pytest.mark.parametrize("rate", [np.nan, np.inf, 1e300])
 def test_a_rate_that_is_no_number_is_one_piece(rate):
-    assert stage.drift_pieces(0.1, 1.0, rate, 0.5) == 1
+    assert stage.drift_substeps(0.1, 1.0, rate, 0.5) == 1
 
 
 @SETTINGS
 @given(crossing=st.floats(0.0, 10.0), drifting=st.floats(0.0, 1e3), dt=st.floats(0.0, 1.0))
-def test_pieces_of_the_drift(crossing, drifting, dt):
+def test_substeps_of_the_drift(crossing, drifting, dt):
     """None where both fit into one step, else so many that each of them does, and not one more."""
-    pieces = stage.drift_pieces(dt, crossing, drifting, 0.5)
+    substeps = stage.drift_substeps(dt, crossing, drifting, 0.5)
     most = 0.5 * stage.FITS
     if dt * (crossing + drifting) < 0.999999 * most:
-        assert pieces == 0
+        assert substeps == 0
     elif dt * (crossing + drifting) > 1.000001 * most:
-        assert pieces >= 1
-        assert dt * drifting / pieces < 0.500001
-        assert pieces == 1 or dt * drifting / (pieces - 1) > 0.499999
+        assert substeps >= 1
+        assert dt * drifting / substeps < 0.500001
+        assert substeps == 1 or dt * drifting / (substeps - 1) > 0.499999
 
 
 # -- a gas that omega must not stir --------------------------------------------------------------------------

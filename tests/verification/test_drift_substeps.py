@@ -1,4 +1,4 @@
-"""A drift too fast for the step, taken in pieces of its own: order in time, positivity, what it saves."""
+"""A drift too fast for the step, taken in substeps of its own: order in time, positivity, what it saves."""
 
 import numpy as np
 import pytest
@@ -10,14 +10,14 @@ from tests.verification.kinetic_cases import build, es_bgk, line, orders
 
 
 @pytest.fixture
-def always_in_pieces(monkeypatch):
+def always_substeps(monkeypatch):
     """Every drift counts as too fast."""
     model = stepping._model
     monkeypatch.setattr(stepping, "_model", lambda job: model(job)._replace(courant=0.01))
 
 
 @pytest.mark.parametrize("eps", [1.0, 1e-6])
-def test_second_order_in_time(always_in_pieces, eps):
+def test_second_order_in_time(always_substeps, eps):
     """As with the drift beside transport (test_kinetic_time_order.py); the heat flux is O(eps) and left out at 1e-6."""
     found = time_order.errors(
         lambda dt: eps, (40, 80, 160), 640, points=[24], scaling="kinetic", drift="seventh-order"
