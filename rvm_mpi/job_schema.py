@@ -232,8 +232,8 @@ class Collision(Section):
 class Scheme(Section):
     """Discretisation."""
 
-    drift: Literal["van-leer", "kappa", "seventh-order"] = Field(
-        default="van-leer", description='"van-leer" | "kappa" | "seventh-order"'
+    drift: Literal["van-leer", "kappa", "seventh-order", "seventh-order-positive"] = Field(
+        default="van-leer", description='"van-leer" | "kappa" | "seventh-order" | "seventh-order-positive"'
     )
     conservative: Switch = Field(default=True, description="true | false")
 

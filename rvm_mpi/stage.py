@@ -34,7 +34,8 @@ HEALTHY, TOO_COLD_FOR_GRID, NO_GAUSSIAN, NO_CORRECTION, NOT_POSITIVE, NOT_A_NUMB
 class Grid(NamedTuple):
     """The velocity grid as numbers and arrays for the kernels (`velocity.py`).
 
-    stencil (2, taps) are the coefficients of the drift's linear reconstruction, None for Van Leer's.
+    stencil (2, taps) are the coefficients of the drift's linear reconstruction, None for Van Leer's; bounded: whether
+    its fluxes are kept from making g negative.
     """
 
     dimensions: int
@@ -50,6 +51,7 @@ class Grid(NamedTuple):
     per_spacing: tuple[float, float, float]
     half_width: tuple[float, float, float]
     stencil: np.ndarray | None
+    bounded: bool
 
 
 class Space(NamedTuple):
@@ -111,6 +113,7 @@ def kernel_grid(grid: VelocityGrid, reconstruction: str = "van-leer") -> Grid:
         (1 / grid.spacing[0], 1 / grid.spacing[1], 1 / grid.spacing[2]),
         grid.half_width,
         None if reconstruction == "van-leer" else drift.stencil(drift.ORDERS[reconstruction]),
+        reconstruction in drift.POSITIVE,
     )
 
 

@@ -6,7 +6,8 @@ drag's, so that the two cancel as numbers before anything is upwinded. The faces
 Two reconstructions: Van Leer's limiter (`update`), positive, and linear upwind-biased differences of odd order
 (`update_linear`), without a limiter. The latter take the product a g at the nodes, not a times a reconstructed g: a
 polynomial's moment with what they give is then exact up to their order (but for the upwinding's kink where a changes
-sign), so that heat flux and fourth cumulant of a smooth g are hardly touched by the grid.
+sign), so that heat flux and fourth cumulant of a smooth g are hardly touched by the grid. Those in `POSITIVE` carry
+through a face no more than leaves g positive, which a g the grid resolves meets in its tails alone.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from rvm_mpi.simd import (
     LEAST,
     load,
     maximum,
+    minimum,
     prefetch,
     shifted,
     splat,
@@ -32,7 +34,9 @@ from rvm_mpi.simd import (
 from rvm_mpi.velocity import TAPS, Y_FACE, Y_LEAST, Y_OPEN, Z_FACE, Z_LEAST, Z_OPEN, Z_TAPS, Y, Z
 
 #: order of the linear reconstructions by their name in the job file
-ORDERS = {"kappa": 3, "seventh-order": 7}
+ORDERS = {"kappa": 3, "seventh-order": 7, "seventh-order-positive": 7}
+#: those whose fluxes are bounded so that g stays positive
+POSITIVE = ("seventh-order-positive",)
 #: rows of a slab that `scratch` holds
 SCRATCH_ROWS = 9
 #: nodes of a slab, at most, that are updated for every xi_x before the next: what belongs to them stays in the nearest
@@ -208,10 +212,40 @@ def update(g, cell, grid, rates, old, weight_old, weight_new, dt, scratch, resul
 
 
 @part
+def most_outflow(fastest, turning):  # type: ignore[no-untyped-def]
+    """Rates at most at which a node may lose what it has through a face of one direction, for `within_bounds`.
+
+    Up to a Courant number of one half a node may lose 2 max|a|/h in that direction through both its faces: nearly all
+    of it with a, and what is left against it; half of it through each where a may change sign between the faces, which
+    differ by less than 2 turning.
+
+    Parameters
+    ----------
+    fastest : float
+        max|a|/h of the direction.
+    turning : float
+        |A| and V times the gradients of omega.
+    """
+    return splat(2.0 * fastest - turning), splat(fastest), splat(turning), splat(2.0 * turning)
+
+
+@part
+def within_bounds(flux, speed, most, left, right):  # type: ignore[no-untyped-def]
+    """The flux, as far as neither node loses more than `most_outflow`."""
+    with_it, by_half, against, near = most
+    zero = splat(0.0)
+    back = zero - speed
+    up = where_positive(speed - near, with_it, where_positive(speed, by_half, against))
+    down = where_positive(back - near, with_it, where_positive(back, by_half, against))
+    return maximum(minimum(flux, up * maximum(left, zero)), zero - down * maximum(right, zero))
+
+
+@part
 def update_linear(g, cell, grid, rates, old, weight_old, weight_new, dt, scratch, result):  # type: ignore[no-untyped-def]
     """`update` with the linear reconstruction of `grid.stencil` in place of Van Leer's limiter."""
     points_x, points_y, points_z = grid.points
     slab_size, x, x_face, slab, coefficients = grid.slab_size, grid.x, grid.x_face, grid.slab, grid.stencil
+    bounded = grid.bounded
     taps = coefficients.shape[1]
     below = taps // 2 - 1
     guard = _guard(points_z)
@@ -221,6 +255,11 @@ def update_linear(g, cell, grid, rates, old, weight_old, weight_new, dt, scratch
     at_x = SCRATCH_ROWS * row
     a, rising_x, falling_x, rising_y, falling_y = turning_rates(rates)
     per_x, per_y, per_z, push_x, push_y, push_z = pushes(rates)
+    turning = abs(a) + max(abs(rates[1]), abs(rates[2])) * grid.half_width[0]
+    turning += max(abs(rates[3]), abs(rates[4])) * grid.half_width[1]
+    most_x = most_outflow(turning * grid.half_width[0] * per_x + abs(push_x), turning)
+    most_y = most_outflow(turning * grid.half_width[1] * per_y + abs(push_y), turning)
+    most_z = most_outflow(turning * grid.half_width[2] * per_z + abs(push_z), turning)
     zero = splat(0.0)
     for n in range(0, slab_size, 8):
         store(scratch, through_x + n, zero)
@@ -266,6 +305,8 @@ def update_linear(g, cell, grid, rates, old, weight_old, weight_new, dt, scratch
                 bend = bend + there * coefficients[1, t]
             speed = turn_y * sx1 + splat(sx0)
             f = flux - turn_y * turned - maximum(speed, zero - speed) * bend
+            if bounded:
+                f = within_bounds(f, speed, most_x, load(scratch, own + n), load(g, base + slab_size + n))
             r = r + (load(scratch, through_x + n) - f)
             store(scratch, through_x + n, f)
 
@@ -277,7 +318,10 @@ def update_linear(g, cell, grid, rates, old, weight_old, weight_new, dt, scratch
                     there = n + (t - below) * points_z
                     flux = flux + load(scratch, in_y + there) * coefficients[0, t]
                     bend = bend + load(scratch, own + there) * coefficients[1, t]
-                f = (flux - maximum(speed, zero - speed) * bend) * load(slab, Y_OPEN * slab_size + n)
+                f = flux - maximum(speed, zero - speed) * bend
+                if bounded:
+                    f = within_bounds(f, speed, most_y, load(scratch, own + n), load(scratch, own + n + points_z))
+                f = f * load(slab, Y_OPEN * slab_size + n)
                 store(scratch, through_y + n, f)
                 r = r + (load(scratch, through_y + n - points_z) - f)
             if has_z:
@@ -288,7 +332,10 @@ def update_linear(g, cell, grid, rates, old, weight_old, weight_new, dt, scratch
                     valid = load(slab, (Z_TAPS + TAPS // 2 - 1 - below + t) * slab_size + n)
                     flux = flux + load(scratch, in_z + n + t - below) * (valid * coefficients[0, t])
                     bend = bend + load(scratch, own + n + t - below) * (valid * coefficients[1, t])
-                f = (flux - maximum(speed, zero - speed) * bend) * load(slab, Z_OPEN * slab_size + n)
+                f = flux - maximum(speed, zero - speed) * bend
+                if bounded:
+                    f = within_bounds(f, speed, most_z, load(scratch, own + n), load(scratch, own + n + 1))
+                f = f * load(slab, Z_OPEN * slab_size + n)
                 r = r + (shifted(before_z, f) - f)
                 before_z = f
             r = load(scratch, own + n) + r * dt

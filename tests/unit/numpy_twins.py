@@ -89,11 +89,27 @@ def signed(up, down, xi):
 CENTRAL = {3: np.array([-1, 7, 7, -1]) / 12, 7: np.array([-3, 29, -139, 533, 533, -139, 29, -3]) / 840}
 
 
-def drift_rate(grid, g, turning, gradient, push, order=0):
+def bounded_flux(grid, flux, speed, values, turning, gradient, push, axis):
+    """The flux between neighbouring values, as far as none loses more than its share of 2 max|a| g.
+
+    Of that share all but h * spread may leave with a, h * spread against it; half of it where a is below 2 h * spread.
+    """
+    spread = abs(turning) + sum(np.abs(gradient[q]).max() * grid.half_width[q] for q in range(2))
+    h, fastest = grid.spacing[axis], spread * grid.half_width[axis] + abs(push[axis])
+
+    def share(along):
+        ahead = np.where(along > 2 * h * spread, 2 * fastest - h * spread, fastest)
+        return np.where(along > 0, ahead, h * spread)
+
+    held = np.maximum(values, 0.0)
+    return np.clip(flux, -share(-speed) * held[1:], share(speed) * held[:-1])
+
+
+def drift_rate(grid, g, turning, gradient, push, order=0, bounded=False):
     """-div_xi (a g), a = -(turning + gradient . xi) xi + push, closed at the edge of the box.
 
     gradient: along x and y, each a pair for velocities that go up and down in that direction; order: 0 for Van Leer's
-    limiter, else that of the linear reconstruction.
+    limiter, else that of the linear reconstruction; bounded: whether its fluxes are (`bounded_flux`).
     """
     rate = np.zeros(g.shape)
     for axis, n in enumerate(grid.points):
@@ -119,6 +135,8 @@ def drift_rate(grid, g, turning, gradient, push, order=0):
             for tap, weight in enumerate(CENTRAL[order]):
                 through[1:-1] += weight * np.pad(product, beyond)[tap + 1 : tap + n]
             through[1:-1] -= CENTRAL[order][-1] * np.abs(speed) * steps
+            if bounded:
+                through[1:-1] = bounded_flux(grid, through[1:-1], speed, values, turning, gradient, push, axis)
         else:
             step = np.diff(values, axis=0)
             bend = np.zeros_like(values)

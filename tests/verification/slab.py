@@ -22,6 +22,7 @@ def slab(
     scaling: str,
     synchronise: float | str = 0.0,
     conservative: bool = True,
+    drift: str = "van-leer",
 ):
     """Density, velocity and temperature (cells,) at the end, and the simulation."""
     simulation = run(
@@ -29,7 +30,7 @@ def slab(
             space=line(cells, "far-field", -1.0, 1.0),
             velocity={"points": [points], "half_width": half_width},
             scaling={"kind": scaling, "synchronise": synchronise},
-            scheme={"conservative": conservative},
+            scheme={"conservative": conservative, "drift": drift},
             collision=es_bgk(KNUDSEN, 0.925 * pi / 2),
             initial={"state": "temperature-disc", "radius": 0.5, "inner": 1.0, "outer": 100.0},
             time={"end": END},
