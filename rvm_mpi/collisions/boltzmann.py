@@ -28,7 +28,7 @@ import pyfftw
 
 from rvm_mpi.collisions.boltzmann_weights import SUPPORT, Rows, block_kind, compute_weights, kernel_scale
 from rvm_mpi.kernels import kernel, part
-from rvm_mpi.simd import LANES, apart, collect, distribute, load, splat, store, together
+from rvm_mpi.simd import LANES, apart, collect, distribute, load, splat, spread, store, together
 
 #: nodes of all cells in a lane of a batch: short enough for the cache, long enough for calls to be cheap
 BATCH_NODES = 2048
@@ -86,7 +86,7 @@ def add_line(weights, start, count, re, im, left, right, step, q_re, q_im, place
     zero = splat(0.0)
     r1, r2, i1, i2 = zero, zero, zero, zero
     for j in range(count):
-        w = weights[start + j]
+        w = spread(weights, start + j)
         a, b = load(re, left) * w, load(im, left) * w
         c, d = load(re, right), load(im, right)
         r1, r2 = r1 + a * c, r2 + b * d
@@ -108,7 +108,7 @@ def add_two_lines(weights, start, count, re, im, left, right, q_re, q_im, place,
     s1, s2, j1, j2 = zero, zero, zero, zero
     l_up, l_down, m_up, m_down = centre[0] + left, centre[0] - left, centre[1] + right, centre[1] - right
     for j in range(count):
-        w = weights[start + j]
+        w = spread(weights, start + j)
         a, b = load(re, l_up) * w, load(im, l_up) * w
         c, d = load(re, m_up), load(im, m_up)
         r1, r2 = r1 + a * c, r2 + b * d
