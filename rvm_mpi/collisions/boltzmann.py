@@ -12,8 +12,9 @@ the operator commutes with translations: that the nodes are cell centres, xi_j =
 a phase exp(i k . s), which l + m = k carries from the arguments to the result, so plain transforms do. Q_0 is zero,
 not merely small: mass is exact; momentum and energy are to spectral accuracy.
 
-Cells go through in groups of eight, one a lane of a vector, so that every weight is read once for eight cells; groups
-go through the transforms in batches of one fixed length, padded with zeros. What a cell gets depends on its own values
+Cells go through in groups of eight, one a lane of a vector, so that every weight is read once for eight cells; where
+the last group is not full its last cell stands again. Each group has a transform of its own, planned alike, and groups
+go through it, the sum and the transform back in batches that stay in cache. What a cell gets depends on its own values
 only, not on where it lies.
 """
 
@@ -215,11 +216,12 @@ def from_lanes(lanes, first, groups, factor, scale, places, factors, out):  # ty
             j, i = cell_of_lane(first + group * LANES + lane, ny, nx)
             places[lane] = (j * by_y + i * by_x) // DOUBLE
             factors[lane] = factor[j, i] * scale
+        scales = load(factors, 0)
         for x in range(points_x):
             for y in range(points_y):
                 row = (x * step_x + y * step_y) // DOUBLE
                 for z in range(points_z):
-                    distribute(out, row + z * (step_z // DOUBLE), places, load(lanes, n) * load(factors, 0))
+                    distribute(out, row + z * (step_z // DOUBLE), places, load(lanes, n) * scales)
                     n += LANES
 
 
@@ -227,8 +229,8 @@ def from_lanes(lanes, first, groups, factor, scale, places, factors, out):  # ty
 class BoltzmannOperator:
     """Q(g, g) on the nodes of a velocity grid, for any number of cells; see the module's docstring.
 
-    Without the 1 / Knudsen number, in the variables of g: for f(v) = omega^-d g(v / omega) the caller multiplies,
-    C[g] = omega^lambda Q(g, g) / Knudsen number. Two threads must not share one operator, for it owns its buffers.
+    In the variables of g: for f(v) = omega^-d g(v / omega) it is C[g] = omega^lambda Q(g, g) / Knudsen number, whose
+    factor the caller gives. Two threads must not share one operator, for it owns its buffers.
 
     Attributes
     ----------
@@ -333,15 +335,21 @@ class BoltzmannOperator:
         return self.weights.nbytes + self.rows.nbytes
 
     def collide(self, g: np.ndarray, out: np.ndarray, factor: np.ndarray | None = None) -> None:
-        """Q(g, g) of cells g (cells, *points) or (ny, nx, *points) into `out` of the same shape, which may be g itself.
+        """Q(g, g) of each cell, times a factor of its own.
 
         Parameters
         ----------
+        g : (cells, *points) or (ny, nx, *points) array of float64
+            Of any strides.
+        out : array of the same shape
+            Overwritten; may be g itself.
         factor : (cells,) or (ny, nx) array
             By which a cell's result is multiplied, 1 if it is not given.
         """
         cells, points = g.shape[: -len(self.points)], g.shape[-len(self.points) :]
         factor = np.ones(cells) if factor is None else factor
+        if g.dtype != np.float64 or out.dtype != np.float64:
+            raise ValueError(f"collide: {g.dtype} and {out.dtype}, wanted float64")
         if not (points == self.points and 1 <= len(cells) <= 2 and out.shape == g.shape and factor.shape == cells):
             wanted = ", ".join(map(str, self.points))
             raise ValueError(f"collide: {g.shape}, {out.shape} and {factor.shape}, wanted (cells, {wanted})")

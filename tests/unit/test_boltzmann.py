@@ -316,3 +316,6 @@ def test_shapes_are_checked():
             op.collide(np.zeros(g), np.zeros(g), np.ones(factor))
     with pytest.raises(ValueError, match="wanted"):
         op.collide(np.zeros((2, 8)), np.zeros((3, 8)))
+    for kinds in ((np.float32, np.float64), (np.float64, np.float32), (np.int64, np.float64)):
+        with pytest.raises(ValueError, match="wanted float64"):
+            op.collide(*(np.zeros((2, 8), dtype=kind) for kind in kinds))
