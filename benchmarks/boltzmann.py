@@ -1,67 +1,153 @@
-"""Cost of one evaluation of the direct Boltzmann operator beside the processor's arithmetic: seconds to run.
+"""Cost of the direct Boltzmann operator beside this machine's own limits for what it does: half a minute to run.
 
-`python benchmarks/boltzmann.py`, with `--large` for 24 and 32 points a direction in d = 3 (about ten seconds more).
+`python benchmarks/boltzmann.py`, with `--large` for 24 and 32 points a direction in d = 3 (half a minute more).
 
-A pair of modes needs 10 operations on complex numbers with a real weight, in two multiplications and four fused
-multiply-adds, so a sum that is limited by nothing but arithmetic reaches 10/12 of the peak of fused multiply-adds.
+The limit is the sum of three times that are measured in the same rounds as the operator, all in cache:
+
+- FFTW: real transforms there and back, the fastest plan (FFTW_MEASURE) of those with eight cells innermost or each cell
+  by itself, eight cells at a time or a cacheful;
+- packing: the bytes that must be read and written between the blocks of g, the transforms and the sum, at the
+  speed of a copy;
+- arithmetic: a pair of modes needs 10 operations on complex numbers with a real weight, in two multiplications and four
+  fused multiply-adds, six instructions at the speed of fused multiply-adds.
 """
 
 import argparse
 import sys
 import time
+from math import prod
 from pathlib import Path
 
 import numpy as np
+import pyfftw
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from rvm_mpi.collisions.boltzmann import BoltzmannOperator, add_pairs
+from rvm_mpi import Job, Simulation
+from rvm_mpi.bench import _multiply_add
+from rvm_mpi.collisions.boltzmann import BATCH_NODES, add_pairs
 from rvm_mpi.kernels import kernel
-from rvm_mpi.simd import splat, store
+from rvm_mpi.simd import LANES, load, store
 
-OPERATIONS = 10
 GRIDS = [(n,) * d for d, sizes in ((1, (16, 32, 64)), (2, (16, 32, 64)), (3, (8, 12, 16))) for n in sizes]
 LARGE = [(24,) * 3, (32,) * 3]
+INSTRUCTIONS = 6
+#: cells of a small rank
+CELLS = 64
+ROUNDS = 10
+#: seconds of one measurement of a round, at least one call
+SHARE = 0.01
+MULTIPLY_ADDS = 100_000
+COPIES = 20
 
 
 @kernel
-def multiply_add(count, out):
-    """10 independent chains of fused multiply-adds of eight doubles."""
-    x, y = splat(0.999999), splat(1e-7)
-    a, b, c, d, e = splat(1.0), splat(2.0), splat(3.0), splat(4.0), splat(5.0)
-    f, g, h, i, j = splat(6.0), splat(7.0), splat(8.0), splat(9.0), splat(10.0)
+def copies(count, source, target):
     for _ in range(count):
-        a, b, c, d, e = a * x + y, b * x + y, c * x + y, d * x + y, e * x + y
-        f, g, h, i, j = f * x + y, g * x + y, h * x + y, i * x + y, j * x + y
-    store(out, 0, a + b + c + d + e + f + g + h + i + j)
+        for n in range(0, source.size, LANES):
+            store(target, n, load(source, n))
 
 
-def best(function, repeats=5):
-    """Least processor seconds of a call, after one to compile: other work on the machine counts little."""
-    function()
-    times = []
-    for _ in range(repeats):
+@kernel
+def sums(count, pairs, kind, offsets, weights, modes, re, im, q_re, q_im):
+    for _ in range(count):
+        add_pairs(pairs, kind, offsets, weights, modes, re, im, q_re, q_im)
+
+
+def alternated(functions):
+    """Least processor seconds of a call of each, over rounds in which all are called in turn."""
+    repeats, least = {}, dict.fromkeys(functions, np.inf)
+    for name, function in functions.items():
+        function()
         start = time.thread_time()
         function()
-        times.append(time.thread_time() - start)
-    return min(times)
+        repeats[name] = max(1, int(SHARE / max(time.thread_time() - start, 1e-7)))
+    for _ in range(ROUNDS):
+        for name, function in functions.items():
+            start = time.thread_time()
+            for _ in range(repeats[name]):
+                function()
+            least[name] = min(least[name], (time.thread_time() - start) / repeats[name])
+    return least
 
 
-def measure(points, peak):
-    start = time.thread_time()
-    operator = BoltzmannOperator.create(points, 8.0, restitution=0.9)
-    made = time.thread_time() - start
-    cells = int(min(4096, max(8, 8 * (2e7 // (8 * operator.rows.products + 1)))))
-    g = np.random.default_rng(1).random((cells, *points))
+def fast_transforms(points):
+    """FFTW there and back by layout and number of cells: what to call, and how many cells that serves."""
+    found = {}
+    half = (*points[:-1], points[-1] // 2 + 1)
+    for cells in {LANES, max(1, BATCH_NODES // prod(points)) * LANES}:
+        for innermost in (True, False):
+            shapes = [(cells // LANES, *s, LANES) if innermost else (cells, *s) for s in (points, half)]
+            real = pyfftw.zeros_aligned(shapes[0], dtype="float64", n=64)
+            modes = pyfftw.zeros_aligned(shapes[1], dtype="complex128", n=64)
+            options = {"axes": tuple(range(1, 1 + len(points))), "flags": ("FFTW_MEASURE", "FFTW_DESTROY_INPUT")}
+            there = pyfftw.FFTW(real, modes, direction="FFTW_FORWARD", **options)
+            back = pyfftw.FFTW(modes, real, direction="FFTW_BACKWARD", **options)
+            real[...] = 1.0
+
+            def both(there=there, back=back):
+                there.execute()
+                back.execute()
+
+            found["fftw", cells, innermost] = both, cells
+    return found
+
+
+def packed_bytes(points):
+    """What a cell's packing reads and writes: g, the half spectra, the modes kept, and all of that back again."""
+    spectrum = 16 * prod(points[:-1]) * (points[-1] // 2 + 1)
+    modes = [2 * ((n - 1) // 2) + 1 for n in points]
+    kept = 16 * prod(modes[:-1]) * (modes[-1] // 2 + 1)
+    there = 2 * 8 * prod(points) + kept + 16 * prod(modes)
+    back = kept + spectrum + 2 * 8 * prod(points)
+    return there + back
+
+
+def kinetic_part(points):
+    """The kinetic part of a simulation with this operator."""
+    job = {
+        "space": {"cells": [CELLS] if len(points) == 1 else [8, CELLS // 8]},
+        "velocity": {"points": list(points), "half_width": 7.0},
+        "collision": {"operator": "boltzmann", "knudsen": 1.0, "restitution": 0.9},
+        "initial": {"state": "uniform"},
+        "time": {"end": 1.0},
+    }
+    return Simulation(Job.from_dict(job, name="benchmark")).kinetic
+
+
+def measure(points):
+    kinetic = kinetic_part(points)
+    op = kinetic._operator
+    many = max(CELLS, 2 * BATCH_NODES // prod(points) * LANES)
+    g = np.random.default_rng(1).random((many, *points))
     out = np.empty_like(g)
-    seconds = best(lambda: operator.collide(g, out)) / cells
-    work, rows = operator._work, operator.rows
-    sizes = rows.pairs, work["kind"], rows.offsets, operator.weights, rows.modes[2]
-    kernel = best(lambda: add_pairs(*sizes, *work["modes"]))
-    rate, inner = (OPERATIONS * rows.products / s for s in (seconds, kernel / 8))
+    count = max(1, 200_000 // op.rows.products)
+    pairs = op.rows.pairs, op._work["kind"], op.rows.offsets, op.weights, op.rows.modes[2]
+    modes = [pyfftw.ones_aligned(op._work["modes"][0].size, n=64) for _ in range(4)]
+    source, target = (pyfftw.ones_aligned(BATCH_NODES * LANES, n=64) for _ in range(2))
+    sink = np.zeros(1)
+    parts = {
+        "few": (lambda: op.collide(g[:CELLS], out[:CELLS]), CELLS),
+        "many": (lambda: op.collide(g, out), many),
+        "one": (lambda: op.collide(g[:1], out[:1]), 1),
+        "stage": (lambda: kinetic._collide(kinetic.g, kinetic.now), CELLS),
+        "sum": (lambda: sums(count, *pairs, *modes), count * LANES),
+        "copy": (lambda: copies(COPIES, source, target), COPIES * 2 * source.nbytes),
+        "fma": (lambda: _multiply_add(MULTIPLY_ADDS, 0.5, sink), MULTIPLY_ADDS * 128 / 2),
+        **fast_transforms(points),
+    }
+    times = alternated({name: function for name, (function, _) in parts.items()})
+    us = {name: 1e6 * times[name] / parts[name][1] for name in parts}
+    fftw = min(us[name] for name in parts if name[0] == "fftw")
+    packing = packed_bytes(points) * us["copy"]
+    arithmetic = INSTRUCTIONS * op.rows.products * us["fma"]
+    limit = fftw + packing + arithmetic
+    figures = [fftw, packing, arithmetic, limit, us["many"], us["many"] / limit, us["few"], us["few"] / limit]
+    figures += [us["stage"], us["stage"] / limit, us["one"], us["sum"] / arithmetic]
     print(
-        f"{' x '.join(map(str, points)):>13} {rows.products:>11} {operator.nbytes / 1e6:>9.2f} {made:>8.2f}"
-        f" {seconds * 1e6:>11.2f} {rate / 1e9:>7.1f} {rate / peak:>6.0%} {inner / peak:>6.0%}"
+        f"| {' x '.join(map(str, points))} | {op.weights.nbytes / 1e6:.2g} | {many} "
+        f"| {' | '.join(f'{x:.3g}' for x in figures)} | {2e-3 / us['fma']:.0f} | {1e-3 / us['copy']:.0f} |",
+        flush=True,
     )
 
 
@@ -69,13 +155,15 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--large", action="store_true", help="24 and 32 points a direction in d = 3, too")
     large = parser.parse_args().large
-    out = np.empty(8)
-    peak = 1e6 * 160 / best(lambda: multiply_add(1_000_000, out))
-    print(f"fused multiply-adds, one core: {peak / 1e9:.1f} GFlop/s")
-    print("       points       pairs   weights   making        cell   speed  of the peak")
-    print("                                MB        s          us  GFlop/s   all    sum")
+    columns = [
+        *("points", "weights, MB", "many", "FFTW", "packing", "arithmetic", "limit", "operator, many cells"),
+        *("over the limit", f"{CELLS} cells", "over the limit", f"in a stage, {CELLS} cells", "over the limit"),
+        *("one cell", "sum over its arithmetic", "peak, GFlop/s", "copy in cache, GB/s"),
+    ]
+    print("us a cell and evaluation, one core; least processor times of rounds\n")
+    print(f"| {' | '.join(columns)} |\n|{' --- |' * len(columns)}")
     for points in GRIDS + LARGE * large:
-        measure(points, peak)
+        measure(points)
 
 
 if __name__ == "__main__":

@@ -29,9 +29,9 @@ SECONDS_PER_STEP = 2e-3
 """Nominal time of what a step costs whatever the grid: calls, reductions, a row of the history."""
 OPERATIONS_PER_PAIR = 10
 """Floating-point operations of the Boltzmann operator's sum for a pair of modes (`boltzmann_weights.Rows.products`)."""
-OPERATIONS_PER_SECOND = 4e10
-"""Nominal speed of that sum on one core: half of the peak of one with AVX-512 (benchmarks/boltzmann.py)."""
-SECONDS_PER_NODE = 8e-9
+OPERATIONS_PER_SECOND = 5.5e10
+"""Nominal speed of that sum on one core: two thirds of the peak of one with AVX-512 (benchmarks/boltzmann.py)."""
+SECONDS_PER_NODE = 6e-9
 """Nominal time of that operator's transforms and of its packing, a velocity node."""
 DRIFT_SHARES = (1.0, 0.25, 0.0625)
 """Shares of the drift's rate that a step may be made for; what a cell has beyond, it takes in substeps."""
@@ -471,14 +471,14 @@ def run_seconds(job: Job, ranks: int = 1, seconds_per_cell: float = SECONDS_PER_
 def operator_seconds(job: Job, ranks: int = 1) -> float:
     """Seconds of one evaluation of the Boltzmann operator on the rank with the most cells; 0 for other operators.
 
-    It takes eight cells of a row at a time: one alone costs as much as eight.
+    It takes eight cells at a time: one alone costs as much as eight.
     """
     if job.collision.operator != "boltzmann":
         return 0.0
     n_x, n_y = largest_share(job, ranks)
     points = tuple(job.velocity.points)
     pairs = OPERATIONS_PER_PAIR * Rows.create(points).products / OPERATIONS_PER_SECOND
-    return n_y * ceil(n_x / LANES) * LANES * (pairs + prod(points) * SECONDS_PER_NODE)
+    return ceil(n_x * n_y / LANES) * LANES * (pairs + prod(points) * SECONDS_PER_NODE)
 
 
 # --- physics

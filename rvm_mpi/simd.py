@@ -58,6 +58,13 @@ def _address(context: Any, builder: Any, array_type: Any, array: Any, index: Any
     return builder.bitcast(pointer, _VECTOR.as_pointer())
 
 
+def _places(context: Any, builder: Any, kinds: Any, args: Any) -> list[Any]:
+    """Addresses of the eight doubles array[index + places[lane]]; args begin with array, index, places."""
+    data, places = (make_array(kinds[n])(context, builder, args[n]).data for n in (0, 2))
+    first = builder.gep(data, [args[1]])
+    return [builder.gep(first, [builder.load(builder.gep(places, [_I32(lane)]))]) for lane in range(LANES)]
+
+
 def _splat(builder: Any, value: Any) -> Any:
     undefined = ir.Constant(_VECTOR, ir.Undefined)
     first = builder.insert_element(undefined, value, _I32(0))
@@ -99,6 +106,31 @@ def prefetch(typingctx, array, index):  # type: ignore[no-untyped-def]
         return context.get_dummy_value()
 
     return types.void(array, types.intp), codegen
+
+
+@intrinsic
+def collect(typingctx, array, index, places):  # type: ignore[no-untyped-def]
+    """The eight doubles array[index + places[lane]], counted from the array's first element whatever its strides."""
+
+    def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
+        vector = ir.Constant(_VECTOR, ir.Undefined)
+        for lane, pointer in enumerate(_places(context, builder, signature.args, args)):
+            vector = builder.insert_element(vector, builder.load(pointer), _I32(lane))
+        return vector
+
+    return vector8(array, types.intp, places), codegen
+
+
+@intrinsic
+def distribute(typingctx, array, index, places, vector):  # type: ignore[no-untyped-def]
+    """array[index + places[lane]] = the lane's double, the last lane last: `collect` back again."""
+
+    def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
+        for lane, pointer in enumerate(_places(context, builder, signature.args, args)):
+            builder.store(builder.extract_element(args[3], _I32(lane)), pointer)
+        return context.get_dummy_value()
+
+    return types.void(array, types.intp, places, vector8), codegen
 
 
 @intrinsic

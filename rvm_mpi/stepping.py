@@ -33,9 +33,10 @@ from rvm_mpi.kinetic.conservation import SUMS, correct
 from rvm_mpi.kinetic.drift import reach
 from rvm_mpi.kinetic.walls import KINDS, fill_side
 from rvm_mpi.moments import fields, sums_about
+from rvm_mpi.simd import LANES, load, splat, total
 from rvm_mpi.stage import Cells, Model, Space, Work
 from rvm_mpi.states import distribution
-from rvm_mpi.velocity import VelocityGrid
+from rvm_mpi.velocity import VelocityGrid, Y, Z
 
 if TYPE_CHECKING:
     from rvm_mpi.domain import Domain
@@ -152,6 +153,24 @@ def _penalise(g, space, grid, sums, rate, work, block, source, small):  # type: 
             scale = s[0] / moments[0] if status <= REPLACED else math.nan
             for n in range(grid.block):
                 source[j, i, n] -= rate[j, i] * (scale * block[n] - g[cell + n])
+
+
+@kernel
+def _heat(source, sums, nodes, slab, slab_size, factor, heating):  # type: ignore[no-untyped-def]
+    """heating (ny, nx) = factor (ny, nx) sum |xi - u|^2 source, u the mean of g with the sums (ny, nx, 10)."""
+    n = 0
+    for j in range(heating.shape[0]):
+        for i in range(heating.shape[1]):
+            s = sums[j, i]
+            ux, uy, uz = s[1] / s[0], s[2] / s[0], s[3] / s[0]
+            square = splat(0.0)
+            for x in range(nodes.size):
+                along = (nodes[x] - ux) ** 2
+                for m in range(0, slab_size, LANES):
+                    cy, cz = load(slab, Y * slab_size + m) - uy, load(slab, Z * slab_size + m) - uz
+                    square = square + load(source, n) * (cy * cy + cz * cz + along)
+                    n += LANES
+            heating[j, i] = factor[j, i] * total(square)
 
 
 class KineticStepper:
@@ -450,12 +469,9 @@ class KineticStepper:
         ny, nx = self._heating.shape
         wy, wx = self.domain.ghosts(GHOSTS)
         scale = self._interior(cells.omega) ** collision.exponent / collision.knudsen
-        inner = g[wy : wy + ny, wx : wx + nx]
-        rows = self._source.reshape(ny, nx, grid.points[0], grid.slab_size)[..., : grid.slab_points]
-        for j in range(ny):
-            values = np.array(grid.unpack(inner[j])).reshape(nx, *self.job.velocity.points)
-            self._operator.collide(values, values)
-            rows[j] = values.reshape(rows[j].shape) * scale[j, :, None, None]
+        values = grid.unpack(g[wy : wy + ny, wx : wx + nx]).reshape(ny, nx, *self.job.velocity.points)
+        source = grid.unpack(self._source).reshape(values.shape)  # both are views
+        self._operator.collide(values, source, scale)
         if collision.penalise:
             _penalise(
                 g.reshape(-1), self.space, self.grid, cells.sums, self._penalty, self.work.fit, self.work.gaussian,
@@ -463,10 +479,8 @@ class KineticStepper:
             )  # fmt: skip
         if collision.elastic:
             return
-        mean = cells.sums[..., 1:4] / cells.sums[..., :1]
-        sums = sums_about(self._source, self.space._replace(wx=0, wy=0), self.grid, mean)
-        omega2 = self._interior(cells.omega) ** 2
-        self._heating[...] = 0.5 * grid.weight * omega2 * (sums[..., 4] + sums[..., 7] + sums[..., 9])
+        factor = 0.5 * grid.weight * self._interior(cells.omega) ** 2
+        _heat(self._source, cells.sums, grid.x, grid.slab, grid.slab_size, factor, self._heating)
 
     def _set_penalty(self, dt: float) -> None:
         """The rate of the relaxation that is taken off the operator and put back implicitly, for the coming step.

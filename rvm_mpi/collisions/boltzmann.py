@@ -12,14 +12,16 @@ the operator commutes with translations: that the nodes are cell centres, xi_j =
 a phase exp(i k . s), which l + m = k carries from the arguments to the result, so plain transforms do. Q_0 is zero,
 not merely small: mass is exact; momentum and energy are to spectral accuracy.
 
-Cells go through in groups of eight, one a lane of a vector, so that every weight is read once for eight cells; groups
-go through the transforms in batches of one fixed length, padded with zeros. What a cell gets depends on its own values
+Cells go through in groups of eight, one a lane of a vector, so that every weight is read once for eight cells; where
+the last group is not full its last cell stands again. Each group has a transform of its own, planned alike, and groups
+go through it, the sum and the transform back in batches that stay in cache. What a cell gets depends on its own values
 only, not on where it lies.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import prod
 from typing import Any
 
 import numpy as np
@@ -27,10 +29,12 @@ import pyfftw
 
 from rvm_mpi.collisions.boltzmann_weights import SUPPORT, Rows, block_kind, compute_weights, kernel_scale
 from rvm_mpi.kernels import kernel, part
-from rvm_mpi.simd import LANES, apart, load, splat, store, together
+from rvm_mpi.simd import LANES, apart, collect, distribute, load, splat, spread, store, together
 
 #: nodes of all cells in a lane of a batch: short enough for the cache, long enough for calls to be cheap
 BATCH_NODES = 2048
+#: bytes
+DOUBLE = 8
 
 
 @part
@@ -83,7 +87,7 @@ def add_line(weights, start, count, re, im, left, right, step, q_re, q_im, place
     zero = splat(0.0)
     r1, r2, i1, i2 = zero, zero, zero, zero
     for j in range(count):
-        w = weights[start + j]
+        w = spread(weights, start + j)
         a, b = load(re, left) * w, load(im, left) * w
         c, d = load(re, right), load(im, right)
         r1, r2 = r1 + a * c, r2 + b * d
@@ -105,7 +109,7 @@ def add_two_lines(weights, start, count, re, im, left, right, q_re, q_im, place,
     s1, s2, j1, j2 = zero, zero, zero, zero
     l_up, l_down, m_up, m_down = centre[0] + left, centre[0] - left, centre[1] + right, centre[1] - right
     for j in range(count):
-        w = weights[start + j]
+        w = spread(weights, start + j)
         a, b = load(re, l_up) * w, load(im, l_up) * w
         c, d = load(re, m_up), load(im, m_up)
         r1, r2 = r1 + a * c, r2 + b * d
@@ -173,35 +177,60 @@ def sum_groups(  # type: ignore[no-untyped-def]
         scatter(q_re, q_im, nx, ny, nz, mx, my, mz, spectra, start)
 
 
-@kernel
-def to_lanes(g, lanes):  # type: ignore[no-untyped-def]
-    """lanes (batch, nx, ny, nz, 8) from cells g (up to 8 batch, nx, ny, nz), padded with zeros."""
-    lanes[:] = 0.0
-    for cell in range(g.shape[0]):
-        group, lane = cell // LANES, cell % LANES
-        for x in range(g.shape[1]):
-            for y in range(g.shape[2]):
-                for z in range(g.shape[3]):
-                    lanes[group, x, y, z, lane] = g[cell, x, y, z]
+@part
+def cell_of_lane(cell, ny, nx):  # type: ignore[no-untyped-def]
+    """Row and column of a cell of (ny, nx); behind the last one it stands again."""
+    return divmod(min(cell, ny * nx - 1), nx)
 
 
 @kernel
-def from_lanes(lanes, scale, out):  # type: ignore[no-untyped-def]
-    """`to_lanes` back again, times `scale`."""
-    for cell in range(out.shape[0]):
-        group, lane = cell // LANES, cell % LANES
-        for x in range(out.shape[1]):
-            for y in range(out.shape[2]):
-                for z in range(out.shape[3]):
-                    out[cell, x, y, z] = lanes[group, x, y, z, lane] * scale
+def to_lanes(g, first, groups, places, lanes):  # type: ignore[no-untyped-def]
+    """Groups of eight cells from the cell `first` on, as (groups, x, y, z, 8) in the flat array `lanes`.
+
+    g : (ny, nx, x, y, z) array of any strides
+    places : (8,) array, overwritten
+    """
+    ny, nx, points_x, points_y, points_z = g.shape
+    by_y, by_x, step_x, step_y, step_z = g.strides
+    n = 0
+    for group in range(groups):
+        for lane in range(LANES):
+            j, i = cell_of_lane(first + group * LANES + lane, ny, nx)
+            places[lane] = (j * by_y + i * by_x) // DOUBLE
+        for x in range(points_x):
+            for y in range(points_y):
+                row = (x * step_x + y * step_y) // DOUBLE
+                for z in range(points_z):
+                    store(lanes, n, collect(g, row + z * (step_z // DOUBLE), places))
+                    n += LANES
+
+
+@kernel
+def from_lanes(lanes, first, groups, factor, scale, places, factors, out):  # type: ignore[no-untyped-def]
+    """`to_lanes` back again, times the cells' factor (ny, nx) and `scale`."""
+    ny, nx, points_x, points_y, points_z = out.shape
+    by_y, by_x, step_x, step_y, step_z = out.strides
+    n = 0
+    for group in range(groups):
+        for lane in range(LANES):
+            j, i = cell_of_lane(first + group * LANES + lane, ny, nx)
+            places[lane] = (j * by_y + i * by_x) // DOUBLE
+            factors[lane] = factor[j, i] * scale
+        scales = load(factors, 0)
+        for x in range(points_x):
+            for y in range(points_y):
+                row = (x * step_x + y * step_y) // DOUBLE
+                for z in range(points_z):
+                    distribute(out, row + z * (step_z // DOUBLE), places, load(lanes, n) * scales)
+                    n += LANES
 
 
 @dataclass(frozen=True)
 class BoltzmannOperator:
     """Q(g, g) on the nodes of a velocity grid, for any number of cells; see the module's docstring.
 
-    Without the 1 / Knudsen number, in the variables of g: for f(v) = omega^-d g(v / omega) the caller multiplies,
-    C[g] = omega^lambda Q(g, g) / Knudsen number. Two threads must not share one operator, for it owns its buffers.
+    In the variables of g: for f(v) = omega^-d g(v / omega) it is C[g] = omega^lambda Q(g, g) / Knudsen number, whose
+    factor the caller gives. Two threads must not share one operator, for it owns its buffers.
 
     Attributes
     ----------
@@ -269,24 +298,30 @@ class BoltzmannOperator:
         return operator
 
     def _buffers(self) -> dict[str, Any]:
-        """Buffers and transforms of one batch; the plans are FFTW's estimates, so the same in each run."""
+        """Buffers of one batch, and a transform there and back of each group in it.
+
+        The plans are FFTW's estimates, so the same in each run, and the same for all groups, however many are in use.
+        """
         shape = (1,) * (3 - len(self.points)) + self.points
-        batch = max(1, BATCH_NODES // int(np.prod(shape)))
+        batch = max(1, BATCH_NODES // prod(shape))
         lanes = pyfftw.zeros_aligned((batch, *shape, LANES), dtype="float64", n=64)
         half = (batch, *shape[:2], shape[2] // 2 + 1, LANES)
         spectra = pyfftw.zeros_aligned(half, dtype="complex128", n=64)
-        axes = tuple(range(4 - len(self.points), 4))
+        axes = tuple(range(3 - len(self.points), 3))
         options = {"axes": axes, "flags": ("FFTW_ESTIMATE", "FFTW_DESTROY_INPUT"), "threads": 1}
-        length = int(np.prod([2 * m + 1 for m in self.rows.modes])) * LANES
+        length = prod(2 * m + 1 for m in self.rows.modes) * LANES
         mirror, same = block_kind(self.rows.keys)
         return {
             "shape": shape,
-            "lanes": lanes,
+            "lanes": lanes.reshape(-1),
             "spectra": spectra.reshape(-1).view(np.float64),
-            "forward": pyfftw.FFTW(lanes, spectra, direction="FFTW_FORWARD", **options),
-            "backward": pyfftw.FFTW(spectra, lanes, direction="FFTW_BACKWARD", **options),
+            "forward": [pyfftw.FFTW(*pair, direction="FFTW_FORWARD", **options) for pair in zip(lanes, spectra)],
+            "backward": [pyfftw.FFTW(*pair, direction="FFTW_BACKWARD", **options) for pair in zip(spectra, lanes)],
             "modes": [pyfftw.zeros_aligned(length, dtype="float64", n=64) for _ in range(4)],
             "kind": 2 * mirror + same,
+            "places": np.zeros(LANES, dtype=np.int64),
+            "factors": np.zeros(LANES),
+            "scale": kernel_scale(len(self.points), self.half_width, self.exponent, self.cross_section),
         }
 
     @property
@@ -299,23 +334,40 @@ class BoltzmannOperator:
         """Bytes of the weights and of the pairs of rows; the buffers come on top, about 60 doubles a node."""
         return self.weights.nbytes + self.rows.nbytes
 
-    def collide(self, g: np.ndarray, out: np.ndarray) -> None:
-        """Q(g, g) of cells g (cells, *points) into `out` of the same shape, which may be g itself."""
+    def collide(self, g: np.ndarray, out: np.ndarray, factor: np.ndarray | None = None) -> None:
+        """Q(g, g) of each cell, times a factor of its own.
+
+        Parameters
+        ----------
+        g : (cells, *points) or (ny, nx, *points) array of float64
+            Of any strides.
+        out : array of the same shape
+            Overwritten; may be g itself.
+        factor : (cells,) or (ny, nx) array
+            By which a cell's result is multiplied, 1 if it is not given.
+        """
+        cells, points = g.shape[: -len(self.points)], g.shape[-len(self.points) :]
+        factor = np.ones(cells) if factor is None else factor
+        if g.dtype != np.float64 or out.dtype != np.float64:
+            raise ValueError(f"collide: {g.dtype} and {out.dtype}, wanted float64")
+        if not (points == self.points and 1 <= len(cells) <= 2 and out.shape == g.shape and factor.shape == cells):
+            wanted = ", ".join(map(str, self.points))
+            raise ValueError(f"collide: {g.shape}, {out.shape} and {factor.shape}, wanted (cells, {wanted})")
+        if len(cells) == 1:
+            g, out, factor = g[np.newaxis], out[np.newaxis], factor[np.newaxis]
+        unused = (slice(None), slice(None), *(np.newaxis,) * (3 - len(self.points)))
+        g, out = g[unused], out[unused]
         work, rows = self._work, self.rows
-        if g.shape[1:] != self.points or out.shape != g.shape:
-            raise ValueError(f"collide: {g.shape} and {out.shape}, wanted (cells, {', '.join(map(str, self.points))})")
-        lead = (slice(None), *(np.newaxis,) * (3 - len(self.points)))
-        g, out = g[lead], out[lead]
-        lanes, batch = work["lanes"], work["lanes"].shape[0] * LANES
-        scale = kernel_scale(len(self.points), self.half_width, self.exponent, self.cross_section)
-        for first in range(0, g.shape[0], batch):
-            cells = slice(first, min(first + batch, g.shape[0]))
-            to_lanes(g[cells], lanes)
-            work["forward"].execute()
-            groups = -(-(cells.stop - first) // LANES)
+        forward, backward, places = work["forward"], work["backward"], work["places"]
+        for first in range(0, factor.size, len(forward) * LANES):
+            groups = min(len(forward), -((first - factor.size) // LANES))
+            to_lanes(g, first, groups, places, work["lanes"])
+            for transform in forward[:groups]:
+                transform.execute()
             sum_groups(
-                work["spectra"], groups, work["shape"], rows.modes, 1 / np.prod(work["shape"]), rows.pairs,
-                work["kind"], rows.offsets, self.weights, *work["modes"],
+                work["spectra"], groups, work["shape"], rows.modes, 1 / prod(self.points), rows.pairs, work["kind"],
+                rows.offsets, self.weights, *work["modes"],
             )  # fmt: skip
-            work["backward"].execute()
-            from_lanes(lanes, scale, out[cells])
+            for transform in backward[:groups]:
+                transform.execute()
+            from_lanes(work["lanes"], first, groups, factor, work["scale"], places, work["factors"], out)

@@ -133,7 +133,7 @@ class Rows:
     ----------
     modes : tuple of three
     pairs : (pairs, 4) int64 array
-        Row of l, of m and of k, and the block.
+        Row of l, of m and of k, and the block, in the order of the blocks.
     keys : (blocks, 3) int64 array
         |k|^2, |l|^2, |m|^2 of the rows.
     offsets : (blocks + 1,) int64 array
@@ -164,12 +164,14 @@ class Rows:
             pairs.append(np.stack((np.full(half.sum(), l), m[half], k[half]), axis=1))
             codes.append((square[k[half]] * base + square[l]) * base + square[m[half]])
         code, block = np.unique(np.concatenate(codes), return_inverse=True)
+        # large weights then come from memory once for each eight cells, and in order
+        by_block = np.argsort(block, kind="stable")
         keys = np.stack((code // base**2, code // base % base, code % base), axis=1)
         sizes = np.array([line_modes(mz, *kind)[0].size for kind in ((0, 0), (0, 1), (1, 0), (1, 1))])
         mirror, same = block_kind(keys)
         return cls(
             modes=(mx, my, mz),
-            pairs=np.column_stack((np.concatenate(pairs), block)).astype(np.int64),
+            pairs=np.column_stack((np.concatenate(pairs), block))[by_block].astype(np.int64),
             keys=keys,
             offsets=np.concatenate(([0], np.cumsum(sizes[2 * mirror + same]))).astype(np.int64),
         )

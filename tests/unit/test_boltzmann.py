@@ -6,6 +6,7 @@ from math import pi
 import numpy as np
 import pytest
 
+from rvm_mpi import Job, Simulation
 from rvm_mpi.collisions.boltzmann import BoltzmannOperator, scatter
 from rvm_mpi.collisions.boltzmann_weights import (
     SUPPORT,
@@ -134,6 +135,38 @@ def test_every_pair_is_visited_once():
         assert Rows.create(points).products == exact
 
 
+# ---- in a stage
+
+
+def test_a_stage_takes_the_operator_and_its_loss_of_energy():
+    """omega^lambda/eps Q in the block's layout, and f's energy by plain sums over the nodes, about each cell's mean."""
+    e, eps, exponent = 0.8, 0.1, 1.0
+    job = {
+        "space": {"cells": [5, 4]},
+        "velocity": {"points": [12, 11, 10], "half_width": 6.5},
+        "collision": {"operator": "boltzmann", "knudsen": eps, "restitution": e},
+        "initial": {
+            "state": "wave", "velocity": [0.4, -0.3, 0.2], "density_amplitude": 0.4, "temperature_amplitude": 0.3,
+        },
+        "time": {"end": 1.0},
+    }  # fmt: skip
+    kinetic = Simulation(Job.from_dict(job, name="stage")).kinetic
+    grid, omega = kinetic.velocity_grid, kinetic.omega
+    kinetic._collide(kinetic.g, kinetic.now)
+    g = grid.unpack(kinetic._interior(kinetic.g))
+    q = np.empty((20, 12, 11, 10))
+    kinetic._operator.collide(g.reshape(q.shape), q)
+    q = q.reshape(g.shape) * (omega**exponent / eps)[..., None, None, None]
+    np.testing.assert_allclose(grid.unpack(kinetic._source), q, rtol=1e-13, atol=1e-14 * np.abs(q).max())
+    axes = (np.arange(n) * 2 + 1 - n for n in (12, 11, 10))
+    xi = np.stack(np.meshgrid(*(a * 6.5 / len(a) for a in axes), indexing="ij"), axis=-1)
+    mean = np.einsum("yxabc,abcd->yxd", g, xi) / g.sum(axis=(2, 3, 4))[..., None]
+    square = ((xi - mean[:, :, None, None, None]) ** 2).sum(axis=-1)
+    expected = 0.5 * grid.weight * omega**2 * (square * q).sum(axis=(2, 3, 4))
+    assert (expected < 0).all() and np.ptp(expected) > 0.1 * np.abs(expected).max()
+    np.testing.assert_allclose(kinetic._heating, expected, rtol=1e-12)
+
+
 # ---- the sum
 
 
@@ -238,6 +271,23 @@ def test_strided_cells_and_in_place():
     assert np.array_equal(g, q)
 
 
+def test_cells_of_the_plane_times_a_factor():
+    """Views of blocks that are padded on every side, as a stage has them, in one dimension with a gap at each node."""
+    for points, gap in (((11,), 8), ((6, 9), 1), ((4, 5, 6), 1)):
+        op = operator(points)
+        g = random_cells(4 * 5, points).reshape(4, 5, *points)
+        factor = np.random.default_rng(5).random((4, 5))
+        wide, out = (np.full((8, 9, *points[:-1], points[-1] + 3, gap), fill) for fill in (np.nan, -1.0))
+        inner = (slice(2, 6), slice(2, 7), *(slice(None),) * (len(points) - 1), slice(points[-1]), 0)
+        wide[inner] = g
+        op.collide(wide[inner], out[inner], factor)
+        q = collide(op, g.reshape(20, *points)).reshape(g.shape)
+        expected = q * factor.reshape(4, 5, *(1,) * len(points))
+        np.testing.assert_allclose(out[inner], expected, rtol=1e-15, atol=0)
+        out[inner] = -1.0
+        assert (out == -1.0).all()
+
+
 def test_weights_serve_any_box_and_cross_section():
     """Q scales as b V^(d + lambda) at the same nodes over V; test_sum_against_plain_loops has the constant."""
     op = operator((6, 8))
@@ -260,5 +310,12 @@ def test_what_is_refused(points, keys):
 
 
 def test_shapes_are_checked():
+    op = operator((8,))
+    for g, factor in (((2, 9), (2,)), ((8,), ()), ((2, 2, 2, 8), (2, 2, 2)), ((2, 8), (3,))):
+        with pytest.raises(ValueError, match="wanted"):
+            op.collide(np.zeros(g), np.zeros(g), np.ones(factor))
     with pytest.raises(ValueError, match="wanted"):
-        operator((8,)).collide(np.zeros((2, 9)), np.zeros((2, 9)))
+        op.collide(np.zeros((2, 8)), np.zeros((3, 8)))
+    for kinds in ((np.float32, np.float64), (np.float64, np.float32), (np.int64, np.float64)):
+        with pytest.raises(ValueError, match="wanted float64"):
+            op.collide(*(np.zeros((2, 8), dtype=kind) for kind in kinds))

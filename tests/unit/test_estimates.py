@@ -217,9 +217,9 @@ def pairs_of_modes(largest):
     return int(np.triu(kept & after).sum())
 
 
-@pytest.mark.parametrize(("cells", "ranks", "counted"), [((), 1, 8), ((12,), 1, 16), ((30,), 2, 16), ((9, 4), 1, 64)])
+@pytest.mark.parametrize(("cells", "ranks", "counted"), [((), 1, 8), ((12,), 1, 16), ((30,), 2, 16), ((9, 4), 1, 40)])
 def test_run_time_of_the_boltzmann_operator(cells, ranks, counted):
-    """Ten operations a pair of modes, in eight cells of a row at once."""
+    """Ten operations a pair of modes, in eight cells at once."""
     boltzmann = {"operator": "boltzmann", "knudsen": 1, "restitution": 0.9}
     job = make(cells=cells, points=(10, 10), half_width=7, collision=boltzmann, time={"max_steps": 1})
     work = 10 * pairs_of_modes(4) / estimates.OPERATIONS_PER_SECOND + 100 * estimates.SECONDS_PER_NODE

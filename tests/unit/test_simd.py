@@ -64,6 +64,22 @@ def results(vectors, number=0.5):
     return out.reshape(ROWS, 8)
 
 
+@kernel
+def move(source, places, target, others):
+    simd.distribute(target, 3, others, simd.collect(source, 2, places))
+
+
+def test_elements_from_and_to_anywhere():
+    """Places count from the first element of a view, whatever its strides; only the eight are written."""
+    rng = np.random.default_rng(4)
+    source, target = rng.random((4, 5, 6)), np.full(40, -1.0)
+    places, others = rng.permutation(60)[:8], rng.permutation(30)[:8]
+    move(source[1:, ::2], places, target[5:], others)
+    expected = np.full(40, -1.0)
+    expected[5 + 3 + others] = source.ravel()[30 + 2 + places]
+    assert np.array_equal(target, expected)
+
+
 def sizes(largest):
     """Numbers of both signs from 10^-largest to 10^largest, and zero."""
     magnitude = st.floats(-largest, largest).map(lambda p: 10.0**p)
