@@ -26,6 +26,7 @@ from rvm_mpi.simd import (
     prefetch,
     shifted,
     splat,
+    spread,
     store,
     upwind,
     van_leer3,
@@ -47,7 +48,7 @@ PIECE = 256
 def scratch_size(points: tuple[int, int, int], slab_size: int) -> int:
     """Doubles of work space: rows of a slab, zeros before and after each, coefficients, fluxes between pieces."""
     rows = SCRATCH_ROWS * (slab_size + 2 * _guard(points[2]))
-    return rows + 2 * TAPS + points[0] * _whole_vectors(points[2])
+    return rows + 3 * TAPS + points[0] * _whole_vectors(points[2])
 
 
 @part
@@ -76,8 +77,9 @@ def _piece(points_z):  # type: ignore[no-untyped-def]
 
 
 def stencil(order: int) -> np.ndarray:
-    """Coefficients (2, order + 1) of the linear flux of odd order through a face, from the nodes around it in order.
+    """Coefficients (2, TAPS) of the linear flux of odd order through a face, from the nodes around it in order.
 
+    Zero for the nodes that the order does not need: loops over them have one length, known to the compiler.
     The flux is sum_t c_t (a g)_t - |a| sum_t d_t g_t: the central one of order p + 1 (first row), and the
     difference of order p (second row) that takes the node farthest downwind out of it.
     """
@@ -87,7 +89,7 @@ def stencil(order: int) -> np.ndarray:
     upper = np.cumsum(derivative[::-1])[::-1]
     central = np.concatenate([upper[::-1], upper])
     difference = np.array([(-1.0) ** (order - t) * comb(order, t) for t in range(order + 1)])
-    return np.stack([central, upper[-1] * difference])
+    return np.pad([central, upper[-1] * difference], ((0, 0), (TAPS // 2 - half,) * 2))
 
 
 @part
@@ -136,7 +138,7 @@ def update(g, cell, grid, rates, old, weight_old, weight_new, dt, scratch, resul
     for begin in range(0, slab_size, piece):
         end = min(begin + piece, slab_size)
         # fluxes along y from this piece to the next, for one xi_x after the other
-        between = SCRATCH_ROWS * row + 2 * TAPS
+        between = SCRATCH_ROWS * row + 3 * TAPS
         # the part of the faces' speeds in y and z (over h) that is the same for every xi_x
         for n in range(begin, end, 8):
             y, yf = load(slab, Y * slab_size + n), load(slab, Y_FACE * slab_size + n)
@@ -246,8 +248,7 @@ def update_linear(g, cell, grid, rates, old, weight_old, weight_new, dt, scratch
     points_x, points_y, points_z = grid.points
     slab_size, x, x_face, slab, coefficients = grid.slab_size, grid.x, grid.x_face, grid.slab, grid.stencil
     bounded = grid.bounded
-    taps = coefficients.shape[1]
-    below = taps // 2 - 1
+    below = TAPS // 2 - 1
     guard = _guard(points_z)
     row = slab_size + 2 * guard
     own, in_y, in_z = guard, row + guard, 2 * row + guard
@@ -274,14 +275,14 @@ def update_linear(g, cell, grid, rates, old, weight_old, weight_new, dt, scratch
         inside = per_x if k < points_x - 1 else 0.0
         sx0 = inside * -(a + (rising_x if xf > 0.0 else falling_x) * xf) * xf + (push_x if inside > 0.0 else 0.0)
         sx1 = -inside * xf
-        first, last = max(0, below - k), min(taps, points_x + below - k)
-        for t in range(first, last):
-            xt = x[k + t - below]
+        for t in range(TAPS):
+            there = k + t - below
+            taken = 1.0 if inside > 0.0 and 0 <= there < points_x else 0.0
+            xt = x[min(max(there, 0), points_x - 1)]
             turning = a + (rising_x if xt > 0.0 else falling_x) * xt
-            scratch[at_x + t] = coefficients[0, t] * (push_x - turning * xt * per_x)
-            scratch[at_x + TAPS + t] = coefficients[0, t] * xt * per_x
-        if inside == 0.0:
-            last = first
+            scratch[at_x + t] = taken * coefficients[0, t] * (push_x - turning * xt * per_x)
+            scratch[at_x + TAPS + t] = taken * coefficients[0, t] * xt * per_x
+            scratch[at_x + 2 * TAPS + t] = taken * coefficients[1, t]
         for n in range(0, slab_size, 8):
             c = load(g, base + n)
             y, z = load(slab, Y * slab_size + n), load(slab, Z * slab_size + n)
@@ -298,11 +299,11 @@ def update_linear(g, cell, grid, rates, old, weight_old, weight_new, dt, scratch
             r = load(result, at + n)
 
             flux, turned, bend = zero, zero, zero
-            for t in range(first, last):
-                there = load(g, base + (t - below) * slab_size + n)
-                flux = flux + there * scratch[at_x + t]
-                turned = turned + there * scratch[at_x + TAPS + t]
-                bend = bend + there * coefficients[1, t]
+            for t in range(TAPS):
+                there = load(g, cell + min(max(k + t - below, 0), points_x - 1) * slab_size + n)
+                flux = flux + there * spread(scratch, at_x + t)
+                turned = turned + there * spread(scratch, at_x + TAPS + t)
+                bend = bend + there * spread(scratch, at_x + 2 * TAPS + t)
             speed = turn_y * sx1 + splat(sx0)
             f = flux - turn_y * turned - maximum(speed, zero - speed) * bend
             if bounded:
@@ -314,7 +315,7 @@ def update_linear(g, cell, grid, rates, old, weight_old, weight_new, dt, scratch
                 yf = load(slab, Y_FACE * slab_size + n)
                 speed = yf * (splat(-along) - yf * where_positive(yf, rising_y, falling_y)) * per_y + splat(push_y)
                 flux, bend = zero, zero
-                for t in range(taps):
+                for t in range(TAPS):
                     there = n + (t - below) * points_z
                     flux = flux + load(scratch, in_y + there) * coefficients[0, t]
                     bend = bend + load(scratch, own + there) * coefficients[1, t]
@@ -328,8 +329,8 @@ def update_linear(g, cell, grid, rates, old, weight_old, weight_new, dt, scratch
                 zf = load(slab, Z_FACE * slab_size + n)
                 speed = zf * (splat(-along) - turn_y) * per_z + splat(push_z)
                 flux, bend = zero, zero
-                for t in range(taps):
-                    valid = load(slab, (Z_TAPS + TAPS // 2 - 1 - below + t) * slab_size + n)
+                for t in range(TAPS):
+                    valid = load(slab, (Z_TAPS + t) * slab_size + n)
                     flux = flux + load(scratch, in_z + n + t - below) * (valid * coefficients[0, t])
                     bend = bend + load(scratch, own + n + t - below) * (valid * coefficients[1, t])
                 f = flux - maximum(speed, zero - speed) * bend
