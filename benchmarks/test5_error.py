@@ -20,14 +20,19 @@ from tests.verification.kinetic_cases import table
 JOB = Path(__file__).resolve().parent.parent / "jobs" / "test5_shock_kinetic.toml"
 END = 0.05
 SMALL, PAPER, LARGE = (16, 16, 8), (24, 24, 8), (32, 32, 8)
-GRIDS = [(8, SMALL), (16, SMALL), (16, PAPER), (24, PAPER)]
-FINEST = (40, LARGE)
+LIMITED, POSITIVE = "van-leer", "seventh-order-positive"
+GRIDS = [
+    (8, SMALL, LIMITED), (8, SMALL, POSITIVE), (16, SMALL, LIMITED), (16, SMALL, POSITIVE), (16, PAPER, LIMITED),
+    (16, PAPER, POSITIVE), (24, SMALL, POSITIVE), (24, PAPER, LIMITED), (24, PAPER, POSITIVE), (32, SMALL, POSITIVE),
+]  # fmt: skip
+FINEST = (40, LARGE, POSITIVE)
 
 
-def solve(cells: int, points: tuple[int, int, int]):
+def solve(cells: int, points: tuple[int, int, int], drift: str):
     """Density and temperature (cells, cells) at the end, the number of steps and the core seconds they took."""
     settings = [
         ("space.cells", [cells, cells]), ("space.lower", [0.0, 0.0]), ("velocity.points", list(points)),
+        ("scheme.drift", f'"{drift}"'),
         ("time.end", END), ("output.times", [END]), ("output.marginals", "false"), ("fluid.enabled", "false"),
     ]  # fmt: skip
     sides = [f'space.boundary.{axis}={{lower = "specular", upper = "far-field"}}' for axis in "xy"]
@@ -49,18 +54,18 @@ def coarsen(values: np.ndarray, cells: int) -> np.ndarray:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.parse_args()
-    coarsest = min(cells for cells, _ in GRIDS)
+    coarsest = min(cells for cells, *_ in GRIDS)
     exact = [coarsen(values, coarsest) for values in solve(*FINEST)[0]]
     rows = []
-    for cells, points in GRIDS:
-        found, steps, seconds = solve(cells, points)
+    for cells, points, drift in GRIDS:
+        found, steps, seconds = solve(cells, points, drift)
         errors = [
             float(np.sqrt(np.mean((coarsen(values, coarsest) - fine) ** 2)) / fine.mean())
             for values, fine in zip(found, exact)
         ]
-        rows.append((f"{cells}x{cells}", "x".join(map(str, points)), steps, seconds, *errors))
+        rows.append((f"{cells}x{cells}", "x".join(map(str, points)), drift, steps, seconds, *errors))
         print(f"{rows[-1]}", file=sys.stderr, flush=True)
-    table("cells velocities steps core_seconds density temperature", rows)
+    table("cells velocities drift steps core_seconds density temperature", rows)
 
 
 if __name__ == "__main__":
