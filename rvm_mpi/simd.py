@@ -6,7 +6,7 @@ they mean: `load(a, i)` is the eight doubles a[i:i+8], arithmetic works on all e
 back. On processors with narrower registers LLVM splits the operations; the results are the same on
 any number of ranks because every element goes through the same operations wherever it lies in an array.
 
-Products and sums may be contracted to fused multiply-adds, nothing else is reordered.
+Products and sums may be contracted to fused multiply-adds where the kernel says so, nothing else is reordered.
 """
 
 from __future__ import annotations
@@ -32,7 +32,6 @@ _VECTOR = ir.VectorType(_DOUBLE, LANES)
 _INTS = ir.VectorType(ir.IntType(64), LANES)
 _I32 = ir.IntType(32)
 _LANE_INDEX = ir.VectorType(_I32, LANES)
-_CONTRACT = ("contract", "nsz")
 
 
 class _Vector8(types.Type):
@@ -196,14 +195,37 @@ def _register(python_operator: Any, instruction: str) -> None:
 
     def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
         vectors = [v if kind == vector8 else _splat(builder, v) for v, kind in zip(args, signature.args)]
-        return getattr(builder, instruction)(*vectors, flags=_CONTRACT)
+        return getattr(builder, instruction)(*vectors)  # numba adds what the kernel's `fused` says
 
     for kinds in ((vector8, vector8), (vector8, types.float64), (types.float64, vector8)):
         lower_builtin(python_operator, *kinds)(codegen)
 
 
-for _operator, _instruction in ((operator.add, "fadd"), (operator.sub, "fsub"), (operator.mul, "fmul")):
+for _operator, _instruction in (
+    (operator.add, "fadd"),
+    (operator.sub, "fsub"),
+    (operator.mul, "fmul"),
+    (operator.truediv, "fdiv"),
+):
     _register(_operator, _instruction)
+
+
+def _register_unary(function: Any, name: str) -> None:
+    @infer_global(function)
+    class _Unary(AbstractTemplate):
+        metadata = {"target": "cpu"}  # noqa: RUF012
+
+        def generic(self, args, kws):  # type: ignore[no-untyped-def]
+            return vector8(vector8) if args == (vector8,) else None
+
+    @lower_builtin(function, vector8)
+    def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
+        kind = ir.FunctionType(_VECTOR, [_VECTOR])
+        return builder.call(cgutils.get_or_insert_function(builder.module, kind, f"llvm.{name}.v{LANES}f64"), args)
+
+
+_register_unary(abs, "fabs")
+_register_unary(math.sqrt, "sqrt")
 
 
 def _fused(builder: Any, a: Any, b: Any, c: Any) -> Any:
@@ -327,7 +349,7 @@ def upwind(typingctx, speed, left, right):  # type: ignore[no-untyped-def]
     def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
         speed, left, right = args
         from_left = builder.fcmp_ordered(">", speed, _constant(0.0))
-        return builder.fmul(speed, builder.select(from_left, left, right), flags=_CONTRACT)
+        return builder.fmul(speed, builder.select(from_left, left, right))
 
     return vector8(vector8, vector8, vector8), codegen
 
