@@ -15,7 +15,9 @@ cannot be read or written costs the time to compile, nothing else.
 
 from __future__ import annotations
 
+import copy
 import fcntl
+import gc
 import hashlib
 import operator
 import pickle
@@ -44,6 +46,7 @@ from numba.core.typed_passes import InlineOverloads, NativeLowering, NopythonRew
 from numba.core.typing.arraydecl import GetItemBuffer, SetItemBuffer
 from numba.core.typing.templates import infer_global
 from numba.core.untyped_passes import InlineClosureLikes, WithLifting
+from numba.extending import models, register_model
 
 from rvm_mpi.cache import cache_directory, write_whole
 
@@ -53,6 +56,12 @@ KEPT = 20
 PATIENCE = 300.0
 #: for what kernels do not use: closures, expressions of whole arrays, `with` blocks
 _NEEDLESS = {InlineClosureLikes, InlineOverloads, NopythonRewrites, WithLifting}
+
+#: operators of numbers and vectors
+_OPERATORS = {
+    getattr(operator, name)
+    for name in ("add", "sub", "mul", "truediv", "iadd", "isub", "imul", "lt", "le", "gt", "ge", "eq", "ne", "neg")
+}
 
 
 # -- declaring ------------------------------------------------------------------------------------------------
@@ -87,7 +96,7 @@ class Part:
 
     @cached_property
     def _numba_type_(self) -> types.Type:
-        return types.Dispatcher(self._part)
+        return _PartType(self._part)
 
     @cached_property
     def _kernel(self) -> Any:
@@ -101,6 +110,16 @@ class Part:
 def part(function: Any = None, *, fused: bool = True) -> Any:
     """Declare a function that kernels call; as `kernel`."""
     return (lambda declared: Part(declared, fused)) if function is None else Part(function, fused)
+
+
+class _PartType(types.Dispatcher):
+    """A part as numba sees it: compiled once for a type, not anew for each literal of that type."""
+
+    def get_call_type(self, context: Any, args: Any, kws: Any) -> Any:
+        return super().get_call_type(context, tuple(map(types.unliteral, args)), kws)
+
+
+register_model(_PartType)(models.OpaqueModel)
 
 
 class Direct:
@@ -158,8 +177,43 @@ class _KernelLibrary(JITCodeLibrary):
         super()._optimize_final_module()
 
 
+class _Operator(types.Function):
+    """An operator of numba's, whose type for given operands is asked for once."""
+
+    def __init__(self, own: types.Function) -> None:
+        super().__init__(own.templates)
+        self.own = own
+        self._found: dict[Any, Any] = {}
+
+    def get_call_type(self, context: Any, args: Any, kws: Any) -> Any:
+        operands = tuple(map(types.unliteral, args))
+        if operands not in self._found:
+            self._found[operands] = super().get_call_type(context, operands, kws)
+        return self._found[operands]
+
+
+class _Typing(type(cpu_target.typing_context)):  # type: ignore[misc]
+    """numba's rules for types: it tries dozens of them, for lists, strings and whole arrays, at each sum of numbers."""
+
+    operators: dict[Any, _Operator] = {}  # noqa: RUF012
+
+    def _lookup_global(self, gv: Any) -> Any:
+        own = super()._lookup_global(gv)
+        if own is None or gv not in _OPERATORS:
+            return own
+        if gv not in self.operators or self.operators[gv].own is not own:
+            self.operators[gv] = _Operator(own)
+        return self.operators[gv]
+
+
 class _KernelCompiler(CompilerBase):
     library = _KernelLibrary
+
+    def __init__(self, typingctx: Any, targetctx: Any, *rest: Any) -> None:
+        super().__init__(typingctx, targetctx, *rest)
+        typing = copy.copy(typingctx)
+        typing.__class__ = _Typing
+        self.state.typingctx = self.state.targetctx.typing_context = typing
 
     def define_pipelines(self) -> list[Any]:
         state = self.state
@@ -170,6 +224,15 @@ class _KernelCompiler(CompilerBase):
         self.extend(passes)
         passes.finalize()
         return [passes]
+
+    def compile_extra(self, func: Any) -> Any:
+        collects = gc.isenabled()
+        gc.disable()  # of what a compilation makes next to nothing can be freed before its end
+        try:
+            return super().compile_extra(func)
+        finally:
+            if collects:
+                gc.enable()
 
     def extend(self, passes: Any) -> None:
         """Add to numba's passes."""

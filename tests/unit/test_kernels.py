@@ -2,6 +2,7 @@
 
 import errno
 import fcntl
+import operator
 import os
 import shutil
 import subprocess
@@ -12,6 +13,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from llvmlite.binding import get_host_cpu_features
+from numba import njit
+from numba.core import types
+from numba.core.registry import cpu_target
 
 from rvm_mpi import kernels
 from rvm_mpi.kernels import kernel, part
@@ -242,6 +246,31 @@ def test_parts_within_kernels_and_by_themselves():
     assert times(2.0, 3) == 6.0
     assert tripled.__name__ == "tripled"
     assert tripled.__doc__ == "x three times."
+
+
+@part
+def power(base, exponent):
+    result = base
+    for _ in range(1, exponent):
+        result *= base
+    return result
+
+
+@kernel
+def powers(x):
+    return power(x, 2) + power(x, 3)
+
+
+def test_a_part_is_compiled_once_for_all_literals():
+    assert powers(2.0) == 12.0
+    assert len(power._part.overloads) == 1
+
+
+def test_other_people_s_functions_keep_numba_s_own_rules():
+    assert combined(2.0, 5.0) == 16.0
+    own = cpu_target.typing_context.resolve_value_type(operator.add)
+    assert type(own) is types.Function
+    assert njit(lambda a, b: a + b)(1, np.ones(2)).tolist() == [2.0, 2.0]
 
 
 def test_products_are_fused_only_where_they_may_be():
