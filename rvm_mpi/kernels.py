@@ -42,11 +42,8 @@ from numba.core.compiler import CompilerBase, CompileResult, DefaultPassBuilder
 from numba.core.compiler_machinery import LoweringPass, register_pass
 from numba.core.registry import cpu_target
 from numba.core.serialize import dumps
-from numba.core.typed_passes import InlineOverloads, NativeLowering, NopythonRewrites
-from numba.core.typing.arraydecl import GetItemBuffer, SetItemBuffer
-from numba.core.typing.templates import infer_global
-from numba.core.untyped_passes import InlineClosureLikes, WithLifting
-from numba.extending import models, register_model
+from numba.core.typed_passes import NativeLowering
+from numba.extending import _Intrinsic, models, register_model
 
 from rvm_mpi.cache import cache_directory, write_whole
 
@@ -54,14 +51,30 @@ from rvm_mpi.cache import cache_directory, write_whole
 KEPT = 20
 #: seconds after which a rank no longer waits for another one to compile
 PATIENCE = 300.0
-#: for what kernels do not use: closures, expressions of whole arrays, `with` blocks
-_NEEDLESS = {InlineClosureLikes, InlineOverloads, NopythonRewrites, WithLifting}
-
-#: operators of numbers and vectors
-_OPERATORS = {
-    getattr(operator, name)
-    for name in ("add", "sub", "mul", "truediv", "iadd", "isub", "imul", "lt", "le", "gt", "ge", "eq", "ne", "neg")
+#: passes of numba's for what kernels do not use: closures, expressions of whole arrays, `with` blocks, values taken as
+#: literals, functions to be written in place, reports
+_NEEDLESS = {
+    "with_lifting",
+    "inline_closure_likes",
+    "rewrite_semantic_constants",
+    "make_function_op_code_to_jit_function",
+    "inline_inlinables",
+    "find_literally",
+    "literal_unroll",
+    "LiteralPropagation",
+    "inline_overloads",
+    "nopython_rewrites",
+    "nopython_supported_feature_validation",
+    "dump_parfor_diagnostics",
 }
+#: functions of numbers, vectors and arrays whose result does not depend on which number an argument is
+_FUNCTIONS = {abs, max, min, range} | {
+    getattr(operator, name)
+    for name in (
+        "add", "sub", "mul", "truediv", "iadd", "isub", "imul", "itruediv", "neg",
+        "lt", "le", "gt", "ge", "eq", "ne", "getitem", "setitem",
+    )
+}  # fmt: skip
 
 
 # -- declaring ------------------------------------------------------------------------------------------------
@@ -88,11 +101,13 @@ class Part:
 
     def __init__(self, function: Callable[..., Any], fused: bool) -> None:
         update_wrapper(self, function)
-        self._function, self._fused = function, fused
+        #: the function itself, for what Python works out of a few numbers: not worth a kernel
+        self.plain = function
+        self._fused = fused
 
     @cached_property
     def _part(self) -> Any:
-        return njit(pipeline_class=_PartCompiler, no_cpython_wrapper=True, **_options(self._fused))(self._function)
+        return njit(pipeline_class=_PartCompiler, no_cpython_wrapper=True, **_options(self._fused))(self.plain)
 
     @cached_property
     def _numba_type_(self) -> types.Type:
@@ -100,7 +115,7 @@ class Part:
 
     @cached_property
     def _kernel(self) -> Any:
-        return kernel(self._function, fused=self._fused)
+        return kernel(self.plain, fused=self._fused)
 
     def __call__(self, *arguments: Any) -> Any:
         """Run it as a kernel."""
@@ -117,9 +132,6 @@ class _PartType(types.Dispatcher):
 
     def get_call_type(self, context: Any, args: Any, kws: Any) -> Any:
         return super().get_call_type(context, tuple(map(types.unliteral, args)), kws)
-
-
-register_model(_PartType)(models.OpaqueModel)
 
 
 class Direct:
@@ -153,14 +165,16 @@ def _options(fused: bool) -> dict[str, Any]:
 
 
 class _PartLibrary(JITCodeLibrary):
-    """A part's code as translated: optimised and turned into machine code only within a kernel."""
+    """A part's code as translated: put together with that of the parts it calls, optimised, only within a kernel."""
 
     def _optimize_functions(self, module: Any) -> None:
         pass
 
     def finalize(self) -> None:
-        for library in dict.fromkeys(self._linking_libraries):
-            self._final_module.link_in(library._get_module_for_linking(), preserve=True)
+        for function in self._final_module.functions:
+            if not function.is_declaration:
+                function.linkage = Linkage.linkonce_odr
+        self._shared_module = self._final_module
         self._finalized = True
 
 
@@ -170,6 +184,13 @@ class _KernelLibrary(JITCodeLibrary):
     def _optimize_functions(self, module: Any) -> None:
         pass
 
+    def finalize(self) -> None:
+        reached: list[Any] = self._linking_libraries
+        for library in reached:
+            if isinstance(library, _PartLibrary):
+                reached += [one for one in library._linking_libraries if one not in reached]
+        super().finalize()
+
     def _optimize_final_module(self) -> None:
         for function in self._final_module.functions:
             if function.linkage == Linkage.linkonce_odr:
@@ -177,8 +198,8 @@ class _KernelLibrary(JITCodeLibrary):
         super()._optimize_final_module()
 
 
-class _Operator(types.Function):
-    """An operator of numba's, whose type for given operands is asked for once."""
+class _Known(types.Function):
+    """A function of numba's or `simd.py`'s, whose type for given arguments is asked for once."""
 
     def __init__(self, own: types.Function) -> None:
         super().__init__(own.templates)
@@ -186,24 +207,46 @@ class _Operator(types.Function):
         self._found: dict[Any, Any] = {}
 
     def get_call_type(self, context: Any, args: Any, kws: Any) -> Any:
-        operands = tuple(map(types.unliteral, args))
-        if operands not in self._found:
-            self._found[operands] = super().get_call_type(context, operands, kws)
-        return self._found[operands]
+        arguments = tuple(map(types.unliteral, args))
+        if arguments not in self._found:
+            self._found[arguments] = super().get_call_type(context, arguments, kws)
+        return self._found[arguments]
 
 
 class _Typing(type(cpu_target.typing_context)):  # type: ignore[misc]
     """numba's rules for types: it tries dozens of them, for lists, strings and whole arrays, at each sum of numbers."""
 
-    operators: dict[Any, _Operator] = {}  # noqa: RUF012
+    known: dict[Any, _Known] = {}  # noqa: RUF012
 
     def _lookup_global(self, gv: Any) -> Any:
         own = super()._lookup_global(gv)
-        if own is None or gv not in _OPERATORS:
+        ours = isinstance(gv, _Intrinsic) and gv.__module__.startswith("rvm_mpi.")
+        if type(own) is not types.Function or not (ours or gv in _FUNCTIONS):
             return own
-        if gv not in self.operators or self.operators[gv].own is not own:
-            self.operators[gv] = _Operator(own)
-        return self.operators[gv]
+        if gv not in self.known or self.known[gv].own is not own:
+            self.known[gv] = _Known(own)
+        return self.known[gv]
+
+
+class _Target(type(cpu_target.target_context)):  # type: ignore[misc]
+    """numba's translations: for each variable it has LLVM parse a program to know the size of its type."""
+
+    sizes: dict[str, int] = {}  # noqa: RUF012
+
+    def get_abi_sizeof(self, ty: Any) -> int:
+        name = str(ty)
+        if name not in self.sizes:
+            self.sizes[name] = super().get_abi_sizeof(ty)
+        return self.sizes[name]
+
+    def get_function(self, fn: Any, sig: Any, _firstcall: bool = True) -> Any:
+        if fn == "__array__":  # of other libraries' arrays; numba looks through all its tables at each element
+            raise NotImplementedError
+        return super().get_function(fn, sig, _firstcall)
+
+
+for _type in (_PartType, _Known):
+    register_model(_type)(models.OpaqueModel)
 
 
 class _KernelCompiler(CompilerBase):
@@ -211,16 +254,16 @@ class _KernelCompiler(CompilerBase):
 
     def __init__(self, typingctx: Any, targetctx: Any, *rest: Any) -> None:
         super().__init__(typingctx, targetctx, *rest)
-        typing = copy.copy(typingctx)
-        typing.__class__ = _Typing
-        self.state.typingctx = self.state.targetctx.typing_context = typing
+        target, typing = self.state.targetctx, copy.copy(typingctx)  # of this compilation alone
+        target.__class__, typing.__class__ = _Target, _Typing
+        self.state.typingctx = target.typing_context = typing
 
     def define_pipelines(self) -> list[Any]:
         state = self.state
         state.library = self.library(state.targetctx.codegen(), state.func_id.func_qualname)
         state.library.enable_object_caching()
         passes = DefaultPassBuilder.define_nopython_pipeline(state)
-        passes.passes = [one for one in passes.passes if one[0] not in _NEEDLESS]
+        passes.passes = [one for one in passes.passes if one[0].name() not in _NEEDLESS]
         self.extend(passes)
         passes.finalize()
         return [passes]
@@ -262,11 +305,6 @@ class _Offer(LoweringPass):
         state.targetctx.insert_user_function(entry, lowered.fndesc, [state.library])
         state.cr = lowered._replace(cfunc=entry)
         return True
-
-
-# numba tries its rules for lists, dictionaries and strings before those for arrays, unless a rule is for this target
-for _operator, _rule in ((operator.getitem, GetItemBuffer), (operator.setitem, SetItemBuffer)):
-    infer_global(_operator)(type(_rule.__name__, (_rule,), {"metadata": {"target": "cpu"}}))
 
 
 # -- keeping --------------------------------------------------------------------------------------------------

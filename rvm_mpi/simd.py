@@ -20,7 +20,6 @@ from llvmlite import ir
 from numba.core import cgutils, types
 from numba.core.typing.templates import AbstractTemplate, infer_global
 from numba.extending import intrinsic, lower_builtin, models, register_model
-from numba.np.arrayobj import make_array
 
 from rvm_mpi.kernels import part
 
@@ -52,9 +51,14 @@ def _constant(value: float) -> ir.Constant:
     return ir.Constant(_VECTOR, [float(value)] * LANES)
 
 
+def _element(context: Any, builder: Any, array_type: Any, array: Any, index: Any) -> Any:
+    """Pointer to array[index]."""
+    data = context.data_model_manager[array_type].get_field_position("data")
+    return builder.gep(builder.extract_value(array, data), [index])
+
+
 def _address(context: Any, builder: Any, array_type: Any, array: Any, index: Any) -> Any:
-    pointer = builder.gep(make_array(array_type)(context, builder, array).data, [index])
-    return builder.bitcast(pointer, _VECTOR.as_pointer())
+    return builder.bitcast(_element(context, builder, array_type, array, index), _VECTOR.as_pointer())
 
 
 def _splat(builder: Any, value: Any) -> Any:
@@ -89,7 +93,7 @@ def prefetch(typingctx, array, index):  # type: ignore[no-untyped-def]
     """Ask for the cache line of array[index]; harmless outside the array."""
 
     def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
-        pointer = builder.gep(make_array(signature.args[0])(context, builder, args[0]).data, [args[1]])
+        pointer = _element(context, builder, signature.args[0], args[0], args[1])
         pointer = builder.bitcast(pointer, ir.IntType(8).as_pointer())
         kind = ir.FunctionType(ir.VoidType(), [pointer.type, _I32, _I32, _I32])
         name = "llvm.prefetch.p0" if "i8" not in str(pointer.type) else "llvm.prefetch.p0i8"
@@ -115,7 +119,7 @@ def spread(typingctx, array, index):  # type: ignore[no-untyped-def]
     """A vector with array[index] in every lane; the caller answers for the bounds."""
 
     def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
-        pointer = builder.gep(make_array(signature.args[0])(context, builder, args[0]).data, [args[1]])
+        pointer = _element(context, builder, signature.args[0], args[0], args[1])
         return _splat(builder, builder.load(pointer))
 
     return vector8(array, types.intp), codegen
