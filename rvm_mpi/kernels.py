@@ -26,7 +26,7 @@ import sys
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from functools import cache, cached_property, update_wrapper
+from functools import cache, cached_property, partial, update_wrapper
 from pathlib import Path
 from typing import IO, Any
 
@@ -37,6 +37,7 @@ from llvmlite.binding import Linkage
 from numba import _dynfunc, njit
 from numba.core import types
 from numba.core.caching import _Cache
+from numba.core.cgutils import unpack_tuple
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import CompilerBase, CompileResult, DefaultPassBuilder
 from numba.core.compiler_machinery import LoweringPass, register_pass
@@ -65,6 +66,7 @@ _NEEDLESS = {
     "inline_overloads",
     "nopython_rewrites",
     "nopython_supported_feature_validation",
+    "ir_legalization",
     "dump_parfor_diagnostics",
 }
 #: functions of numbers, vectors and arrays whose result does not depend on which number an argument is
@@ -240,10 +242,49 @@ class _Target(type(cpu_target.target_context)):  # type: ignore[misc]
         return self.sizes[name]
 
     def get_function(self, fn: Any, sig: Any, _firstcall: bool = True) -> Any:
-        if fn == "__array__":  # of other libraries' arrays; numba looks through all its tables at each element
-            raise NotImplementedError
+        array = sig.args[0] if sig.args else None
+        if isinstance(array, types.Array):
+            if fn in ("__array__", "static_getitem", "static_setitem"):  # there are none; numba searches all its tables
+                raise NotImplementedError
+            at_element = _AT_ELEMENT.get(getattr(fn, "typing_key", None))
+            index = types.intp if array.ndim == 1 else types.UniTuple(types.intp, array.ndim)
+            number = array.layout == "C" and array.dtype in (types.float64, types.int64)
+            if at_element is not None and number and sig.args[1] == index:
+                return partial(at_element, self, sig)
         return super().get_function(fn, sig, _firstcall)
 
+
+def element(context: Any, builder: Any, array_type: Any, array: Any, index: Any) -> Any:
+    """Pointer to the element of an array with that number, counted through all axes."""
+    data = context.data_model_manager[array_type].get_field_position("data")
+    return builder.gep(builder.extract_value(array, data), [index])
+
+
+def _indexed(context: Any, builder: Any, array_type: Any, array: Any, index: Any) -> Any:
+    """Pointer to array[index], negative ones from the end: what numba makes in several times the instructions."""
+    shape = context.data_model_manager[array_type].get_field_position("shape")
+    indices = [index] if array_type.ndim == 1 else unpack_tuple(builder, index, array_type.ndim)
+    number = None
+    for axis, along in enumerate(indices):
+        length = builder.extract_value(array, [shape, axis])
+        negative = builder.icmp_signed("<", along, along.type(0))
+        along = builder.select(negative, builder.add(along, length), along)
+        number = along if number is None else builder.add(builder.mul(number, length), along)
+    return element(context, builder, array_type, array, number)
+
+
+def _get(context: Any, signature: Any, builder: Any, args: Any) -> Any:
+    return builder.load(_indexed(context, builder, signature.args[0], *args))
+
+
+def _set(context: Any, signature: Any, builder: Any, args: Any) -> Any:
+    array, index, value = args
+    value = context.cast(builder, value, signature.args[2], signature.args[0].dtype)
+    builder.store(value, _indexed(context, builder, signature.args[0], array, index))
+    return context.get_dummy_value()
+
+
+_AT_ELEMENT: dict[Any, Any] = {operator.getitem: _get, operator.setitem: _set}
 
 for _type in (_PartType, _Known):
     register_model(_type)(models.OpaqueModel)

@@ -21,7 +21,7 @@ from numba.core import cgutils, types
 from numba.core.typing.templates import AbstractTemplate, infer_global
 from numba.extending import intrinsic, lower_builtin, models, register_model
 
-from rvm_mpi.kernels import part
+from rvm_mpi.kernels import element, part
 
 LANES = 8
 #: smallest product of two differences that `van_leer3` makes a slope of
@@ -51,14 +51,8 @@ def _constant(value: float) -> ir.Constant:
     return ir.Constant(_VECTOR, [float(value)] * LANES)
 
 
-def _element(context: Any, builder: Any, array_type: Any, array: Any, index: Any) -> Any:
-    """Pointer to array[index]."""
-    data = context.data_model_manager[array_type].get_field_position("data")
-    return builder.gep(builder.extract_value(array, data), [index])
-
-
 def _address(context: Any, builder: Any, array_type: Any, array: Any, index: Any) -> Any:
-    return builder.bitcast(_element(context, builder, array_type, array, index), _VECTOR.as_pointer())
+    return builder.bitcast(element(context, builder, array_type, array, index), _VECTOR.as_pointer())
 
 
 def _splat(builder: Any, value: Any) -> Any:
@@ -93,7 +87,7 @@ def prefetch(typingctx, array, index):  # type: ignore[no-untyped-def]
     """Ask for the cache line of array[index]; harmless outside the array."""
 
     def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
-        pointer = _element(context, builder, signature.args[0], args[0], args[1])
+        pointer = element(context, builder, signature.args[0], args[0], args[1])
         pointer = builder.bitcast(pointer, ir.IntType(8).as_pointer())
         kind = ir.FunctionType(ir.VoidType(), [pointer.type, _I32, _I32, _I32])
         name = "llvm.prefetch.p0" if "i8" not in str(pointer.type) else "llvm.prefetch.p0i8"
@@ -119,7 +113,7 @@ def spread(typingctx, array, index):  # type: ignore[no-untyped-def]
     """A vector with array[index] in every lane; the caller answers for the bounds."""
 
     def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
-        pointer = _element(context, builder, signature.args[0], args[0], args[1])
+        pointer = element(context, builder, signature.args[0], args[0], args[1])
         return _splat(builder, builder.load(pointer))
 
     return vector8(array, types.intp), codegen

@@ -380,12 +380,12 @@ def cross(grid, space, model, g, cell, omega, j, i, work):  # type: ignore[no-un
 
 
 @part
-def net_rates(weight, space, sides, j, i, work):  # type: ignore[no-untyped-def]
+def net_rates(weight, space, sides, j, i, v, south_moments):  # type: ignore[no-untyped-def]
     """Rates of a cell's mass, momentum and energy by the fluxes through its faces, from their moments (`transport.py`).
 
     The moments of the upper faces become those of the next cells' lower ones.
     """
-    v, south = work.vectors, work.south_moments[i]
+    south = south_moments[i]
     west, east, north, rate = v[WEST], v[EAST], v[NORTH], v[RATE]
     for q in range(5):
         unit = weight if q < 4 else 0.5 * weight
@@ -836,7 +836,7 @@ def sweep(  # type: ignore[no-untyped-def]
             cross(grid, space, model, g, cell, stage.omega, j, i, work)
             if i < 0 or j < 0:
                 continue
-            net_rates(grid.weight, space, sides, j, i, work)
+            net_rates(grid.weight, space, sides, j, i, work.vectors, work.south_moments)
             report = diagnostics[j, i]
             report[STATUS] = advance(
                 grid,

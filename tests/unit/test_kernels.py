@@ -266,6 +266,32 @@ def test_a_part_is_compiled_once_for_all_literals():
     assert len(power._part.overloads) == 1
 
 
+@kernel
+def touch(line, plane, numbers, out):
+    """Elements from either end, read and written, of arrays of one and two axes."""
+    out[0], out[1] = line[2], line[-1]
+    out[2], out[3], out[4] = plane[1, 2], plane[-1, -2], plane[1][0]
+    out[-1] = numbers[-2] + numbers[0]
+    line[1], line[-2] = 7, line[0]
+    plane[0, -1] = numbers[1]
+    numbers[-1] = 5
+
+
+@pytest.mark.parametrize("order", ["C", "F", "strided"])
+def test_elements_of_arrays(order):
+    def arrays():
+        line, plane, numbers = np.arange(4.0), 10.0 + np.arange(6.0).reshape(2, 3), np.arange(20, 23)
+        if order == "strided":
+            return np.repeat(line, 2)[::2], np.repeat(plane, 2, axis=1)[:, ::2], np.repeat(numbers, 2)[::2], np.ones(6)
+        return line, np.asarray(plane, order=order), numbers, np.ones(6)
+
+    found, wanted = arrays(), arrays()
+    touch(*found)
+    touch.py_func(*wanted)
+    for one, other in zip(found, wanted):
+        assert np.array_equal(one, other)
+
+
 def test_other_people_s_functions_keep_numba_s_own_rules():
     assert combined(2.0, 5.0) == 16.0
     own = cpu_target.typing_context.resolve_value_type(operator.add)
