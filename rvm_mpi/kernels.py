@@ -6,6 +6,10 @@ which order, or came from disk. A *part* is called by kernels and other parts; n
 leaves it to each kernel to optimise its own copy. Called from Python, as the tests do, a part is compiled as a kernel.
 Kernels and parts allocate nothing: work space is passed to them.
 
+What takes the time is numba's translation, in Python, not LLVM's optimisation. So what it asks again and again it is
+told from memory here, what kernels do not use is left out, and elements of arrays are written shorter than it would.
+All this is within the compilations of kernels: other users of numba in the process see nothing of it.
+
 The machine code of the package's kernels is kept in `kernels/` of the user's cache directory (`cache.py`), or of
 $NUMBA_CACHE_DIR where that is set, in a directory named by a hash of all that it depends on: the package's sources, the
 versions of what compiles it, the processor. Files appear whole or not at all. Whoever compiles a kernel holds a
@@ -231,7 +235,10 @@ class _Typing(type(cpu_target.typing_context)):  # type: ignore[misc]
 
 
 class _Target(type(cpu_target.target_context)):  # type: ignore[misc]
-    """numba's translations: for each variable it has LLVM parse a program to know the size of its type."""
+    """numba's translation to LLVM's language, with sizes asked for once and elements of plain arrays made simple.
+
+    For the size of a variable's type, which only debuggers want, numba has LLVM read a program.
+    """
 
     sizes: dict[str, int] = {}  # noqa: RUF012
 
