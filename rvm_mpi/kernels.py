@@ -6,6 +6,10 @@ which order, or came from disk. A *part* is called by kernels and other parts; n
 leaves it to each kernel to optimise its own copy. Called from Python, as the tests do, a part is compiled as a kernel.
 Kernels and parts allocate nothing: work space is passed to them.
 
+What takes the time is numba's translation, in Python, not LLVM's optimisation. So what it asks again and again it is
+told from memory here, what kernels do not use is left out, and elements of arrays are written shorter than it would.
+All this is within the compilations of kernels: other users of numba in the process see nothing of it.
+
 The machine code of the package's kernels is kept in `kernels/` of the user's cache directory (`cache.py`), or of
 $NUMBA_CACHE_DIR where that is set, in a directory named by a hash of all that it depends on: the package's sources, the
 versions of what compiles it, the processor. Files appear whole or not at all. Whoever compiles a kernel holds a
@@ -15,7 +19,9 @@ cannot be read or written costs the time to compile, nothing else.
 
 from __future__ import annotations
 
+import copy
 import fcntl
+import gc
 import hashlib
 import operator
 import pickle
@@ -24,7 +30,7 @@ import sys
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from functools import cache, cached_property, update_wrapper
+from functools import cache, cached_property, partial, update_wrapper
 from pathlib import Path
 from typing import IO, Any
 
@@ -35,15 +41,14 @@ from llvmlite.binding import Linkage
 from numba import _dynfunc, njit
 from numba.core import types
 from numba.core.caching import _Cache
+from numba.core.cgutils import unpack_tuple
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import CompilerBase, CompileResult, DefaultPassBuilder
 from numba.core.compiler_machinery import LoweringPass, register_pass
 from numba.core.registry import cpu_target
 from numba.core.serialize import dumps
-from numba.core.typed_passes import InlineOverloads, NativeLowering, NopythonRewrites
-from numba.core.typing.arraydecl import GetItemBuffer, SetItemBuffer
-from numba.core.typing.templates import infer_global
-from numba.core.untyped_passes import InlineClosureLikes, WithLifting
+from numba.core.typed_passes import NativeLowering
+from numba.extending import _Intrinsic, models, register_model
 
 from rvm_mpi.cache import cache_directory, write_whole
 
@@ -51,8 +56,31 @@ from rvm_mpi.cache import cache_directory, write_whole
 KEPT = 20
 #: seconds after which a rank no longer waits for another one to compile
 PATIENCE = 300.0
-#: for what kernels do not use: closures, expressions of whole arrays, `with` blocks
-_NEEDLESS = {InlineClosureLikes, InlineOverloads, NopythonRewrites, WithLifting}
+#: passes of numba's for what kernels do not use: closures, expressions of whole arrays, `with` blocks, values taken as
+#: literals, functions to be written in place, reports
+_NEEDLESS = {
+    "with_lifting",
+    "inline_closure_likes",
+    "rewrite_semantic_constants",
+    "make_function_op_code_to_jit_function",
+    "inline_inlinables",
+    "find_literally",
+    "literal_unroll",
+    "LiteralPropagation",
+    "inline_overloads",
+    "nopython_rewrites",
+    "nopython_supported_feature_validation",
+    "ir_legalization",
+    "dump_parfor_diagnostics",
+}
+#: functions of numbers, vectors and arrays whose result does not depend on which number an argument is
+_FUNCTIONS = {abs, max, min, range} | {
+    getattr(operator, name)
+    for name in (
+        "add", "sub", "mul", "truediv", "iadd", "isub", "imul", "itruediv", "neg",
+        "lt", "le", "gt", "ge", "eq", "ne", "getitem", "setitem",
+    )
+}  # fmt: skip
 
 
 # -- declaring ------------------------------------------------------------------------------------------------
@@ -79,19 +107,21 @@ class Part:
 
     def __init__(self, function: Callable[..., Any], fused: bool) -> None:
         update_wrapper(self, function)
-        self._function, self._fused = function, fused
+        #: the function itself, for what Python works out of a few numbers: not worth a kernel
+        self.plain = function
+        self._fused = fused
 
     @cached_property
     def _part(self) -> Any:
-        return njit(pipeline_class=_PartCompiler, no_cpython_wrapper=True, **_options(self._fused))(self._function)
+        return njit(pipeline_class=_PartCompiler, no_cpython_wrapper=True, **_options(self._fused))(self.plain)
 
     @cached_property
     def _numba_type_(self) -> types.Type:
-        return types.Dispatcher(self._part)
+        return _PartType(self._part)
 
     @cached_property
     def _kernel(self) -> Any:
-        return kernel(self._function, fused=self._fused)
+        return kernel(self.plain, fused=self._fused)
 
     def __call__(self, *arguments: Any) -> Any:
         """Run it as a kernel."""
@@ -101,6 +131,13 @@ class Part:
 def part(function: Any = None, *, fused: bool = True) -> Any:
     """Declare a function that kernels call; as `kernel`."""
     return (lambda declared: Part(declared, fused)) if function is None else Part(function, fused)
+
+
+class _PartType(types.Dispatcher):
+    """A part as numba sees it: compiled once for a type, not anew for each literal of that type."""
+
+    def get_call_type(self, context: Any, args: Any, kws: Any) -> Any:
+        return super().get_call_type(context, tuple(map(types.unliteral, args)), kws)
 
 
 class Direct:
@@ -134,14 +171,16 @@ def _options(fused: bool) -> dict[str, Any]:
 
 
 class _PartLibrary(JITCodeLibrary):
-    """A part's code as translated: optimised and turned into machine code only within a kernel."""
+    """A part's code as translated: put together with that of the parts it calls, optimised, only within a kernel."""
 
     def _optimize_functions(self, module: Any) -> None:
         pass
 
     def finalize(self) -> None:
-        for library in dict.fromkeys(self._linking_libraries):
-            self._final_module.link_in(library._get_module_for_linking(), preserve=True)
+        for function in self._final_module.functions:
+            if not function.is_declaration:
+                function.linkage = Linkage.linkonce_odr
+        self._shared_module = self._final_module
         self._finalized = True
 
 
@@ -151,6 +190,13 @@ class _KernelLibrary(JITCodeLibrary):
     def _optimize_functions(self, module: Any) -> None:
         pass
 
+    def finalize(self) -> None:
+        reached: list[Any] = self._linking_libraries
+        for library in reached:
+            if isinstance(library, _PartLibrary):
+                reached += [one for one in library._linking_libraries if one not in reached]
+        super().finalize()
+
     def _optimize_final_module(self) -> None:
         for function in self._final_module.functions:
             if function.linkage == Linkage.linkonce_odr:
@@ -158,18 +204,126 @@ class _KernelLibrary(JITCodeLibrary):
         super()._optimize_final_module()
 
 
+class _Known(types.Function):
+    """A function of numba's or `simd.py`'s, whose type for given arguments is asked for once."""
+
+    def __init__(self, own: types.Function) -> None:
+        super().__init__(own.templates)
+        self.own = own
+        self._found: dict[Any, Any] = {}
+
+    def get_call_type(self, context: Any, args: Any, kws: Any) -> Any:
+        arguments = tuple(map(types.unliteral, args))
+        if arguments not in self._found:
+            self._found[arguments] = super().get_call_type(context, arguments, kws)
+        return self._found[arguments]
+
+
+class _Typing(type(cpu_target.typing_context)):  # type: ignore[misc]
+    """numba's rules for types: it tries dozens of them, for lists, strings and whole arrays, at each sum of numbers."""
+
+    known: dict[Any, _Known] = {}  # noqa: RUF012
+
+    def _lookup_global(self, gv: Any) -> Any:
+        own = super()._lookup_global(gv)
+        ours = isinstance(gv, _Intrinsic) and gv.__module__.startswith("rvm_mpi.")
+        if type(own) is not types.Function or not (ours or gv in _FUNCTIONS):
+            return own
+        if gv not in self.known or self.known[gv].own is not own:
+            self.known[gv] = _Known(own)
+        return self.known[gv]
+
+
+class _Target(type(cpu_target.target_context)):  # type: ignore[misc]
+    """numba's translation to LLVM's language, with sizes asked for once and elements of plain arrays made simple.
+
+    For the size of a variable's type, which only debuggers want, numba has LLVM read a program.
+    """
+
+    sizes: dict[str, int] = {}  # noqa: RUF012
+
+    def get_abi_sizeof(self, ty: Any) -> int:
+        name = str(ty)
+        if name not in self.sizes:
+            self.sizes[name] = super().get_abi_sizeof(ty)
+        return self.sizes[name]
+
+    def get_function(self, fn: Any, sig: Any, _firstcall: bool = True) -> Any:
+        array = sig.args[0] if sig.args else None
+        if isinstance(array, types.Array):
+            if fn in ("__array__", "static_getitem", "static_setitem"):  # there are none; numba searches all its tables
+                raise NotImplementedError
+            at_element = _AT_ELEMENT.get(getattr(fn, "typing_key", None))
+            index = types.intp if array.ndim == 1 else types.UniTuple(types.intp, array.ndim)
+            number = array.layout == "C" and array.dtype in (types.float64, types.int64)
+            if at_element is not None and number and sig.args[1] == index:
+                return partial(at_element, self, sig)
+        return super().get_function(fn, sig, _firstcall)
+
+
+def element(context: Any, builder: Any, array_type: Any, array: Any, index: Any) -> Any:
+    """Pointer to the element of an array with that number, counted through all axes."""
+    data = context.data_model_manager[array_type].get_field_position("data")
+    return builder.gep(builder.extract_value(array, data), [index])
+
+
+def _indexed(context: Any, builder: Any, array_type: Any, array: Any, index: Any) -> Any:
+    """Pointer to array[index], negative ones from the end: what numba makes in several times the instructions."""
+    shape = context.data_model_manager[array_type].get_field_position("shape")
+    indices = [index] if array_type.ndim == 1 else unpack_tuple(builder, index, array_type.ndim)
+    number = None
+    for axis, along in enumerate(indices):
+        length = builder.extract_value(array, [shape, axis])
+        negative = builder.icmp_signed("<", along, along.type(0))
+        along = builder.select(negative, builder.add(along, length), along)
+        number = along if number is None else builder.add(builder.mul(number, length), along)
+    return element(context, builder, array_type, array, number)
+
+
+def _get(context: Any, signature: Any, builder: Any, args: Any) -> Any:
+    return builder.load(_indexed(context, builder, signature.args[0], *args))
+
+
+def _set(context: Any, signature: Any, builder: Any, args: Any) -> Any:
+    array, index, value = args
+    value = context.cast(builder, value, signature.args[2], signature.args[0].dtype)
+    builder.store(value, _indexed(context, builder, signature.args[0], array, index))
+    return context.get_dummy_value()
+
+
+_AT_ELEMENT: dict[Any, Any] = {operator.getitem: _get, operator.setitem: _set}
+
+for _type in (_PartType, _Known):
+    register_model(_type)(models.OpaqueModel)
+
+
 class _KernelCompiler(CompilerBase):
     library = _KernelLibrary
+
+    def __init__(self, typingctx: Any, targetctx: Any, *rest: Any) -> None:
+        super().__init__(typingctx, targetctx, *rest)
+        target, typing = self.state.targetctx, copy.copy(typingctx)  # of this compilation alone
+        target.__class__, typing.__class__ = _Target, _Typing
+        self.state.typingctx = target.typing_context = typing
 
     def define_pipelines(self) -> list[Any]:
         state = self.state
         state.library = self.library(state.targetctx.codegen(), state.func_id.func_qualname)
         state.library.enable_object_caching()
         passes = DefaultPassBuilder.define_nopython_pipeline(state)
-        passes.passes = [one for one in passes.passes if one[0] not in _NEEDLESS]
+        passes.passes = [one for one in passes.passes if one[0].name() not in _NEEDLESS]
         self.extend(passes)
         passes.finalize()
         return [passes]
+
+    def compile_extra(self, func: Any) -> Any:
+        collects = gc.isenabled()
+        gc.disable()  # of what a compilation makes next to nothing can be freed before its end
+        try:
+            return super().compile_extra(func)
+        finally:
+            if collects:
+                gc.enable()
 
     def extend(self, passes: Any) -> None:
         """Add to numba's passes."""
@@ -199,11 +353,6 @@ class _Offer(LoweringPass):
         state.targetctx.insert_user_function(entry, lowered.fndesc, [state.library])
         state.cr = lowered._replace(cfunc=entry)
         return True
-
-
-# numba tries its rules for lists, dictionaries and strings before those for arrays, unless a rule is for this target
-for _operator, _rule in ((operator.getitem, GetItemBuffer), (operator.setitem, SetItemBuffer)):
-    infer_global(_operator)(type(_rule.__name__, (_rule,), {"metadata": {"target": "cpu"}}))
 
 
 # -- keeping --------------------------------------------------------------------------------------------------

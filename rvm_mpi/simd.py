@@ -6,7 +6,7 @@ they mean: `load(a, i)` is the eight doubles a[i:i+8], arithmetic works on all e
 back. On processors with narrower registers LLVM splits the operations; the results are the same on
 any number of ranks because every element goes through the same operations wherever it lies in an array.
 
-Products and sums may be contracted to fused multiply-adds, nothing else is reordered.
+Products and sums may be contracted to fused multiply-adds where the kernel says so, nothing else is reordered.
 """
 
 from __future__ import annotations
@@ -20,9 +20,8 @@ from llvmlite import ir
 from numba.core import cgutils, types
 from numba.core.typing.templates import AbstractTemplate, infer_global
 from numba.extending import intrinsic, lower_builtin, models, register_model
-from numba.np.arrayobj import make_array
 
-from rvm_mpi.kernels import part
+from rvm_mpi.kernels import element, part
 
 LANES = 8
 #: smallest product of two differences that `van_leer3` makes a slope of
@@ -32,7 +31,6 @@ _VECTOR = ir.VectorType(_DOUBLE, LANES)
 _INTS = ir.VectorType(ir.IntType(64), LANES)
 _I32 = ir.IntType(32)
 _LANE_INDEX = ir.VectorType(_I32, LANES)
-_CONTRACT = ("contract", "nsz")
 
 
 class _Vector8(types.Type):
@@ -54,15 +52,14 @@ def _constant(value: float) -> ir.Constant:
 
 
 def _address(context: Any, builder: Any, array_type: Any, array: Any, index: Any) -> Any:
-    pointer = builder.gep(make_array(array_type)(context, builder, array).data, [index])
-    return builder.bitcast(pointer, _VECTOR.as_pointer())
+    return builder.bitcast(element(context, builder, array_type, array, index), _VECTOR.as_pointer())
 
 
 def _places(context: Any, builder: Any, kinds: Any, args: Any) -> list[Any]:
     """Addresses of the eight doubles array[index + places[lane]]; args begin with array, index, places."""
-    data, places = (make_array(kinds[n])(context, builder, args[n]).data for n in (0, 2))
-    first = builder.gep(data, [args[1]])
-    return [builder.gep(first, [builder.load(builder.gep(places, [_I32(lane)]))]) for lane in range(LANES)]
+    first = element(context, builder, kinds[0], args[0], args[1])
+    places = [element(context, builder, kinds[2], args[2], ir.Constant(_I32, lane)) for lane in range(LANES)]
+    return [builder.gep(first, [builder.load(place)]) for place in places]
 
 
 def _splat(builder: Any, value: Any) -> Any:
@@ -97,7 +94,7 @@ def prefetch(typingctx, array, index):  # type: ignore[no-untyped-def]
     """Ask for the cache line of array[index]; harmless outside the array."""
 
     def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
-        pointer = builder.gep(make_array(signature.args[0])(context, builder, args[0]).data, [args[1]])
+        pointer = element(context, builder, signature.args[0], args[0], args[1])
         pointer = builder.bitcast(pointer, ir.IntType(8).as_pointer())
         kind = ir.FunctionType(ir.VoidType(), [pointer.type, _I32, _I32, _I32])
         name = "llvm.prefetch.p0" if "i8" not in str(pointer.type) else "llvm.prefetch.p0i8"
@@ -148,7 +145,7 @@ def spread(typingctx, array, index):  # type: ignore[no-untyped-def]
     """A vector with array[index] in every lane; the caller answers for the bounds."""
 
     def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
-        pointer = builder.gep(make_array(signature.args[0])(context, builder, args[0]).data, [args[1]])
+        pointer = element(context, builder, signature.args[0], args[0], args[1])
         return _splat(builder, builder.load(pointer))
 
     return vector8(array, types.intp), codegen
@@ -228,14 +225,37 @@ def _register(python_operator: Any, instruction: str) -> None:
 
     def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
         vectors = [v if kind == vector8 else _splat(builder, v) for v, kind in zip(args, signature.args)]
-        return getattr(builder, instruction)(*vectors, flags=_CONTRACT)
+        return getattr(builder, instruction)(*vectors)  # numba adds what the kernel's `fused` says
 
     for kinds in ((vector8, vector8), (vector8, types.float64), (types.float64, vector8)):
         lower_builtin(python_operator, *kinds)(codegen)
 
 
-for _operator, _instruction in ((operator.add, "fadd"), (operator.sub, "fsub"), (operator.mul, "fmul")):
+for _operator, _instruction in (
+    (operator.add, "fadd"),
+    (operator.sub, "fsub"),
+    (operator.mul, "fmul"),
+    (operator.truediv, "fdiv"),
+):
     _register(_operator, _instruction)
+
+
+def _register_unary(function: Any, name: str) -> None:
+    @infer_global(function)
+    class _Unary(AbstractTemplate):
+        metadata = {"target": "cpu"}  # noqa: RUF012
+
+        def generic(self, args, kws):  # type: ignore[no-untyped-def]
+            return vector8(vector8) if args == (vector8,) else None
+
+    @lower_builtin(function, vector8)
+    def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
+        kind = ir.FunctionType(_VECTOR, [_VECTOR])
+        return builder.call(cgutils.get_or_insert_function(builder.module, kind, f"llvm.{name}.v{LANES}f64"), args)
+
+
+_register_unary(abs, "fabs")
+_register_unary(math.sqrt, "sqrt")
 
 
 def _fused(builder: Any, a: Any, b: Any, c: Any) -> Any:
@@ -359,7 +379,7 @@ def upwind(typingctx, speed, left, right):  # type: ignore[no-untyped-def]
     def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
         speed, left, right = args
         from_left = builder.fcmp_ordered(">", speed, _constant(0.0))
-        return builder.fmul(speed, builder.select(from_left, left, right), flags=_CONTRACT)
+        return builder.fmul(speed, builder.select(from_left, left, right))
 
     return vector8(vector8, vector8, vector8), codegen
 

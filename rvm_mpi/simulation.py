@@ -483,7 +483,7 @@ def run_job(
     """
     rundir.check(output, restart, overwrite)
     if not quiet and os.environ.get("OMPI_COMM_WORLD_RANK", "0") == "0" and not _compiled_before():
-        print("compiling the kernels, kept for the next run: a quarter of a minute", file=sys.stderr, flush=True)
+        print("compiling the kernels, kept for the next run: ten seconds or so", file=sys.stderr, flush=True)
     with Control(output, walltime, job.output.checkpoint_every) as control:
         simulation, lines = _resumed(job, output) if restart else (Simulation(job), [])
         try:

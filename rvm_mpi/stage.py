@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rvm_mpi.collisions.es_bgk import FAILED, REPLACED, TOO_COLD, discrete_gaussian, discrete_maxwellian
+from rvm_mpi.collisions.es_bgk import EXACT, REPLACED, TOO_COLD, discrete_gaussian, discrete_maxwellian
 from rvm_mpi.estimates import FITS
 from rvm_mpi.kernels import kernel, part
 from rvm_mpi.kinetic import drift
@@ -27,6 +27,10 @@ SMALLEST, LARGEST, MISMATCH, GAUSSIANS_REPLACED, TRANSPORT, DRIFT, DISSIPATED, C
 #: shares of mass and energy of the outermost velocities, at the end of a step and of a stage of no length
 BOX_MASS, BOX_ENERGY = 9, 10
 DIAGNOSTICS = 11
+#: rows of `Work.vectors`: moments of the fluxes through a cell's faces but the lower one in y, and the rates they make;
+#: sums wanted of the block, sought by its correction, found in its result, and had before; mean, tensor and sums of a
+#: Gaussian
+WEST, EAST, NORTH, RATE, WANTED, TARGET, RESULT, BEFORE, CENTRE, TENSOR, FITTED = range(11)
 #: what STATUS says
 HEALTHY, TOO_COLD_FOR_GRID, NO_GAUSSIAN, NO_CORRECTION, NOT_POSITIVE, NOT_A_NUMBER = range(6)
 
@@ -140,7 +144,7 @@ class Work(NamedTuple):
         from rvm_mpi.domain import aligned
 
         nvx = grid.points[0]
-        guarded = (grid.block + 2 * drift.reach(grid.points[2], grid.slab_size),)
+        guarded = (grid.block + 2 * drift.reach.plain(grid.points[2], grid.slab_size),)
         return cls(
             west=aligned((grid.block,)),
             south=aligned((grid.block * nx,)),
@@ -152,7 +156,7 @@ class Work(NamedTuple):
             south_moments=np.zeros((nx, 5)),
             rates=np.zeros(11),
             extremes=np.zeros(16),
-            vectors=np.zeros((14, SUMS)),
+            vectors=np.zeros((11, SUMS)),
             correction=(
                 np.ones(nvx),
                 aligned((grid.slab_size,)),
@@ -175,14 +179,6 @@ def cooled(thermal, density, d, cooling, dt):  # type: ignore[no-untyped-def]
 def relaxation_rate(model, density, temperature):  # type: ignore[no-untyped-def]
     """tau(rho, T)/eps of f."""
     return model.relaxation * density**model.density_power * temperature**model.temperature_power
-
-
-@part
-def through(moments, weight, flux):  # type: ignore[no-untyped-def]
-    """Rates of mass, momentum and energy of f through a face, from the moments of its flux (`transport.py`)."""
-    for q in range(4):
-        flux[q] = weight * moments[q]
-    flux[4] = 0.5 * weight * moments[4]
 
 
 @part
@@ -342,6 +338,444 @@ def mix(block, factor_x, factor_slab, own, gaussian, share, points_x, slab_size,
     extremes[2], extremes[3] = total(edge_mass), total(edge_energy)
 
 
+@part
+def cross(grid, space, model, g, cell, omega, j, i, work):  # type: ignore[no-untyped-def]
+    """The fluxes through the upper faces of cell (j, i), a ghost cell where an index is negative, and their moments.
+
+    A ghost cell's moments are left where the cell beyond the face looks for those of its lower face.
+    """
+    y, x = j + space.wy, i + space.wx
+    omega_e, omega_n = (omega[y, x], omega[y, x]), (omega[y, x], omega[y, x])
+    along_x, along_y, per_dx, per_dy = 0, 0, 0.0, 0.0
+    if space.dimensions >= 1 and j >= 0:
+        omega_e = face_omega(model.conservative, omega, y, x, 0, 1)
+        along_x, per_dx = grid.block, space.per_dx
+    if space.dimensions == 2 and i >= 0:
+        omega_n = face_omega(model.conservative, omega, y, x, 1, 0)
+        along_y, per_dy = (space.nx + 2 * space.wx) * grid.block, space.per_dy
+    west, east, north = work.vectors[WEST], work.vectors[EAST], work.vectors[NORTH]
+    upper_fluxes(
+        g,
+        cell,
+        along_x,
+        along_y,
+        grid.points[0],
+        grid.slab_size,
+        grid.below,
+        grid.x,
+        grid.slab,
+        (omega_e[0], omega_e[1], omega_n[0], omega_n[1]),
+        per_dx,
+        per_dy,
+        work.west if j >= 0 else work.gaussian,
+        work.south if i >= 0 else work.gaussian,
+        max(i, 0) * grid.block,
+        work.faces,
+        work.result,
+        east,
+        north,
+    )
+    for q in range(5):
+        if j < 0:
+            work.south_moments[i, q] = north[q]
+        elif i < 0:
+            west[q] = east[q]
+
+
+@part
+def net_rates(weight, space, sides, j, i, v, south_moments):  # type: ignore[no-untyped-def]
+    """Rates of a cell's mass, momentum and energy by the fluxes through its faces, from their moments (`transport.py`).
+
+    The moments of the upper faces become those of the next cells' lower ones.
+    """
+    south = south_moments[i]
+    west, east, north, rate = v[WEST], v[EAST], v[NORTH], v[RATE]
+    for q in range(5):
+        unit = weight if q < 4 else 0.5 * weight
+        lower_x, upper_x, lower_y, upper_y = unit * west[q], unit * east[q], unit * south[q], unit * north[q]
+        if i == 0:
+            sides[0][j, q] = lower_x
+        if i == space.nx - 1:
+            sides[1][j, q] = upper_x
+        if j == 0:
+            sides[2][i, q] = lower_y
+        if j == space.ny - 1:
+            sides[3][i, q] = upper_y
+        west[q], south[q] = east[q], north[q]
+        rate[q] = (lower_x - upper_x) + (lower_y - upper_y)
+
+
+@part
+def state_of(grid, model, carried, sums, omega):  # type: ignore[no-untyped-def]
+    """Density, velocity (three numbers) and energy of f in a cell: as carried, else from the sums of g."""
+    if model.kinetic or model.conservative:
+        rho = carried[0]
+        return rho, carried[1] / rho, carried[2] / rho, carried[3] / rho, carried[4]
+    weight, rho = grid.weight, sums[0]
+    energy = 0.5 * weight * omega * omega * (sums[4] + sums[7] + sums[9])
+    return weight * rho, omega * sums[1] / rho, omega * sums[2] / rho, omega * sums[3] / rho, energy
+
+
+@part
+def mean_drag(model, second, density, temperature, dt):  # type: ignore[no-untyped-def]
+    """The rate of the drag, the mean over the step: ahead in stage one, behind in stage two."""
+    if not model.cooling > 0.0:
+        return 0.0
+    frequency = model.cooling * density * math.sqrt(temperature)
+    if not dt > 0.0:
+        return frequency
+    return -math.log(max(1.0 - frequency * dt, 1e-3)) / dt if second else math.log(1.0 + frequency * dt) / dt
+
+
+@part
+def omega_across(upwind, omega, y, x, down, right):  # type: ignore[no-untyped-def]
+    """omega at a cell's lower face and at its upper one along (down, right), each as `face_omega` has it."""
+    if down + right == 0:
+        here = omega[y, x]
+        return here, here, here, here
+    lower = face_omega(upwind, omega, y - down, x - right, down, right)
+    upper = face_omega(upwind, omega, y, x, down, right)
+    return lower[0], lower[1], upper[0], upper[1]
+
+
+@part
+def drift_rates(grid, space, model, omega, j, i, rates):  # type: ignore[no-untyped-def]
+    """Complete a cell's rates for `drift.py`, the first and the pushes given, by those that grad omega makes.
+
+    Returns the sums of max|a|/h over the directions of space and over those of velocity.
+    """
+    y, x, upwind = j + space.wy, i + space.wx, model.conservative
+    w0, w1, e0, e1 = omega_across(upwind, omega, y, x, 0, 1 if space.dimensions >= 1 else 0)
+    s0, s1, n0, n1 = omega_across(upwind, omega, y, x, 1 if space.dimensions == 2 else 0, 0)
+    rates[1], rates[2] = (e0 - w0) * space.per_dx, (e1 - w1) * space.per_dx
+    rates[3], rates[4] = (n0 - s0) * space.per_dy, (n1 - s1) * space.per_dy
+    half_width, per_spacing = grid.half_width, grid.per_spacing
+    crossing = max(w0, w1, e0, e1) * half_width[0] * space.per_dx
+    crossing += max(s0, s1, n0, n1) * half_width[1] * space.per_dy
+    turning = abs(rates[0]) + max(abs(rates[1]), abs(rates[2])) * half_width[0]
+    turning += max(abs(rates[3]), abs(rates[4])) * half_width[1]
+    drifting = 0.0
+    for q in range(3):
+        rates[8 + q] = per_spacing[q]
+        if q < grid.dimensions:
+            drifting += (turning * half_width[q] + abs(rates[5 + q])) * per_spacing[q]
+    return crossing, drifting
+
+
+@part
+def explicit_part(grid, model, second, dt, g, out, cell, first, z, source, at, substeps, work):  # type: ignore[no-untyped-def]
+    """The explicit part of a stage: `work.result` from the change by transport that it holds.
+
+    Returns what `discrete_gaussian` says of the Gaussian that a drift in substeps takes along, else EXACT, and the
+    weight that the first Gaussian has yet to be added with.
+    """
+    result = work.result
+    weight_first = 0.5 * z if second else 0.0
+    weight_old, weight_new = (0.5, 0.5 * (1.0 + z)) if second else (0.0, 1.0)
+    if source is not None:
+        for n in range(0, grid.block, 8):
+            store(result, n, load(result, n) + load(source, at + n))
+    if substeps == 0:
+        drift.apply(
+            grid.stencil, g, cell, grid, work.rates, out, weight_old, weight_new, dt, work.scratch, result
+        )
+        return EXACT, weight_first
+    share, answer = 0.0, EXACT
+    if weight_first > 0.0 and model.collisions:
+        centre, tensor, fitted = work.vectors[CENTRE], work.vectors[TENSOR], work.vectors[FITTED]
+        density = blend(model.nu, grid.dimensions, first, first, first, 1.0, 1.0, 0.0, 1.0, centre, tensor)
+        answer = discrete_gaussian(density, centre, tensor, grid, work.fit, work.gaussian, fitted)
+        if answer > REPLACED:
+            return answer, 0.0
+        share = weight_first * density / fitted[0]
+    take_substeps(g, out, cell, grid, work.rates, second, weight_new, share, dt, substeps, work)
+    return answer, 0.0
+
+
+@part
+def thermal_energy(carried):  # type: ignore[no-untyped-def]
+    """Energy less that of the mean velocity, from rho, rho u, E."""
+    return carried[4] - 0.5 * (carried[1] ** 2 + carried[2] ** 2 + carried[3] ** 2) / carried[0]
+
+
+@part
+def carry(d, cooling, second, dt, begin, old, rate, new):  # type: ignore[no-untyped-def]
+    """The carried moments at the end of a stage, from those at t^n and at the stage's beginning.
+
+    Returns whether density and thermal energy are positive, and the stage's share of the energy that collisions took.
+    """
+    for q in range(5):
+        new[q] = old[q] + dt * rate[q]
+    if second:
+        before = thermal_energy(begin)
+        dissipated = 0.5 * (before - cooled(before, begin[0], d, cooling, dt))
+        for q in range(5):
+            new[q] = 0.5 * begin[q] + 0.5 * new[q]
+        new[4] -= dissipated
+    else:
+        before = thermal_energy(new)
+        if not (new[0] > 0.0 and before > 0.0):
+            return False, 0.0
+        dissipated = 0.5 * (before - cooled(before, new[0], d, cooling, dt))
+        new[4] -= 2.0 * dissipated
+    return new[0] > 0.0 and thermal_energy(new) > 0.0, dissipated
+
+
+@part
+def measure(grid, result, target, correction, sums):  # type: ignore[no-untyped-def]
+    """Sums of a block as it is, with the correction's factor left at one."""
+    factor_x, factor_slab = correction[0], correction[1]
+    for k in range(grid.points[0]):
+        factor_x[k] = 1.0
+    for n in range(0, grid.slab_size, 8):
+        store(factor_slab, n, splat(1.0))
+    for q in range(3):
+        target[q] = 0.0
+    weighted_sums(
+        result, target, grid.points[0], grid.slab_size, grid.x, grid.slab, factor_x, factor_slab, correction[2], sums
+    )
+
+
+@part
+def sums_to_have(grid, model, second, z, weight_first, carried, omega, first, work):  # type: ignore[no-untyped-def]
+    """Sums 1, xi, |xi|^2/2 at the end of a stage: those of the carried moments, or of the block's relaxed result."""
+    v = work.vectors
+    wanted, sums, before = v[WANTED], v[RESULT], v[BEFORE]
+    for q in range(4):
+        before[q] = first[q]
+    before[4] = 0.5 * (first[4] + first[7] + first[9])
+    if model.conservative:
+        weight = grid.weight
+        wanted[0] = carried[0] / weight
+        for q in range(1, 4):
+            wanted[q] = carried[q] / (weight * omega)
+        wanted[4] = carried[4] / (weight * omega * omega)
+        return
+    measure(grid, work.result, v[TARGET], work.correction, sums)
+    for q in range(4):
+        wanted[q] = sums[q]
+    wanted[4] = 0.5 * (sums[4] + sums[7] + sums[9])
+    if second:
+        for q in range(5):
+            wanted[q] = (wanted[q] + weight_first * before[q]) / (1.0 + z)
+
+
+@part
+def relax(grid, model, weight_first, weight_last, whole, temperature, first, source, work):  # type: ignore[no-untyped-def]
+    """Correct `work.result` to its moments, and find the Gaussian that it is relaxed to, in `work.gaussian`.
+
+    Returns the mismatch removed, -1 where that failed, what `discrete_gaussian` says, and the Gaussian's share.
+    """
+    v = work.vectors
+    wanted, sums, centre, tensor, fitted = v[WANTED], v[RESULT], v[CENTRE], v[TENSOR], v[FITTED]
+    mismatch, answer, share = 0.0, EXACT, weight_first + weight_last
+    if model.conservative and source is None:
+        target, before = v[TARGET], v[BEFORE]
+        for q in range(5):
+            target[q] = (whole - weight_last) * wanted[q] - weight_first * before[q]
+        mismatch = correct(
+            work.result,
+            target,
+            grid.dimensions,
+            grid.points[0],
+            grid.slab_size,
+            grid.x,
+            grid.slab,
+            work.correction,
+            sums,
+        )
+        if mismatch < 0.0:
+            return mismatch, answer, 0.0
+    if model.collisions and share > 0.0:
+        density = blend(
+            model.nu,
+            grid.dimensions,
+            first,
+            sums,
+            wanted,
+            temperature,
+            weight_first,
+            weight_last,
+            whole,
+            centre,
+            tensor,
+        )
+        answer = discrete_gaussian(density, centre, tensor, grid, work.fit, work.gaussian, fitted)
+        # its mass to round-off, not only to Newton's tolerance
+        share *= density / fitted[0] if answer <= REPLACED else 0.0
+    return mismatch, answer, share
+
+
+@part
+def correct_signed(grid, model, share, whole, temperature, work):  # type: ignore[no-untyped-def]
+    """The correction where an operator leaves g negative in places, far so where it is penalised.
+
+    Its Gaussian is mixed in before. Returns the mismatch removed, -1 where that failed.
+    """
+    v = work.vectors
+    wanted, target, sums, centre, fitted = v[WANTED], v[TARGET], v[RESULT], v[CENTRE], v[FITTED]
+    if share > 0.0:
+        for n in range(0, grid.block, 8):
+            store(work.result, n, load(work.result, n) + load(work.gaussian, n) * share)
+        for q in range(10):
+            sums[q] += fitted[q] * share
+    if not model.conservative:
+        return 0.0
+    for q in range(3):
+        centre[q] = wanted[1 + q] / wanted[0]
+    answer = discrete_maxwellian(wanted[0], centre, temperature, grid, work.fit, v[TENSOR], work.gaussian, fitted)
+    if answer > REPLACED:
+        return -1.0
+    for q in range(5):
+        target[q] = whole * wanted[q]
+    return add_correction(
+        work.result,
+        work.gaussian,
+        target,
+        grid.dimensions,
+        grid.points[0],
+        grid.slab_size,
+        grid.x,
+        grid.slab,
+        work.correction,
+        sums,
+    )
+
+
+@part
+def finish(grid, watched, share, whole, out, cell, done, work, report):  # type: ignore[no-untyped-def]
+    """Write a cell's block and its sums (10), and report on them; False where they are no numbers."""
+    sums, fitted, extremes = work.vectors[RESULT], work.vectors[FITTED], work.extremes
+    for q in range(10):
+        done[q] = sums[q] / whole
+        if share > 0.0:
+            done[q] += fitted[q] * (share / whole)
+    mix(
+        work.result,
+        work.correction[0],
+        work.correction[1],
+        1.0 / whole,
+        work.gaussian,
+        share / whole,
+        grid.points[0],
+        grid.slab_size,
+        grid.x,
+        grid.slab,
+        out,
+        cell,
+        watched,
+        extremes,
+    )
+    report[SMALLEST], report[LARGEST] = extremes[0], extremes[1]
+    trace = done[4] + done[7] + done[9]
+    if watched:
+        report[BOX_MASS], report[BOX_ENERGY] = extremes[2] / done[0], extremes[3] / trace
+    # what is no number anywhere in g is none in its sums
+    return math.isfinite(done[0] + trace)
+
+
+@part
+def problem(answer):  # type: ignore[no-untyped-def]
+    """A cell's STATUS from what `discrete_gaussian` says."""
+    if answer <= REPLACED:
+        return HEALTHY
+    return TOO_COLD_FOR_GRID if answer == TOO_COLD else NO_GAUSSIAN
+
+
+@part
+def advance(  # type: ignore[no-untyped-def]
+    grid,
+    space,
+    model,
+    second,
+    dt,
+    g,
+    out,
+    start,
+    stage,
+    new,
+    growth,
+    omega_end,
+    depth,
+    source,
+    heating,
+    report,
+    j,
+    i,
+    work,
+):
+    """Take cell (j, i) through a stage, the changes by transport known; returns its STATUS."""
+    d, rate, wanted = grid.dimensions, work.vectors[RATE], work.vectors[WANTED]
+    cell = (j + space.wy) * (space.nx + 2 * space.wx) * grid.block + (i + space.wx) * grid.block
+    if source is not None:
+        rate[4] += heating[j, i]
+    first, old, here = start.sums[j, i], stage.carried[j, i], stage.omega[j + space.wy, i + space.wx]
+    density, ux, uy, uz, energy = state_of(grid, model, old, stage.sums[j, i], here)
+    kinetic_energy = 0.5 * density * (ux * ux + uy * uy + uz * uz)
+    thermal = energy - kinetic_energy
+    if not (density > 0.0 and thermal > 0.0):
+        return NOT_POSITIVE
+    temperature = 2.0 * thermal / (d * density)
+
+    # cooling: one rate for drag and scaling
+    beta, rates = mean_drag(model, second, density, temperature, dt), work.rates
+    if model.kinetic:
+        rates[0] = 0.5 * (rate[4] / energy - rate[0] / density) + beta * (kinetic_energy / energy)
+    else:
+        rates[0] = growth[j, i] + beta
+    rates[5], rates[6], rates[7] = beta * ux / here, beta * uy / here, beta * uz / here
+    crossing, drifting = drift_rates(grid, space, model, stage.omega, j, i, rates)
+    report[TRANSPORT], report[DRIFT] = crossing, drifting
+
+    z = depth[j, i] if second or source is not None else 0.0
+    substeps, at = drift_substeps(dt, crossing, drifting, model.courant), (j * space.nx + i) * grid.block
+    replaced, weight_first = explicit_part(
+        grid, model, second, dt, g, out, cell, first, z, source, at, substeps, work
+    )
+    if replaced > REPLACED:
+        return problem(replaced)
+
+    omega_new, carried = omega_end[j, i], new.carried[j, i]
+    if model.kinetic or model.conservative:
+        positive, dissipated = carry(d, model.cooling, second, dt, start.carried[j, i], old, rate, carried)
+        if not positive:
+            return NOT_POSITIVE
+        if model.kinetic:
+            omega_new = math.sqrt(2.0 * carried[4] / (d * carried[0]))
+    else:
+        dissipated = 0.5 * abs(thermal - cooled(thermal, density, d, model.cooling, -dt if second else dt))
+    report[DISSIPATED], report[COOLING_RATE] = dissipated, 2.0 * beta * thermal / energy
+    if source is not None:
+        report[DISSIPATED], report[COOLING_RATE] = -0.5 * dt * heating[j, i], abs(heating[j, i]) / energy
+    sums_to_have(grid, model, second, z, weight_first, carried, omega_new, first, work)
+    speed2 = (wanted[1] ** 2 + wanted[2] ** 2 + wanted[3] ** 2) / wanted[0] ** 2
+    temperature_new = (2.0 * wanted[4] / wanted[0] - speed2) / d
+    if not (wanted[0] > 0.0 and temperature_new > 0.0):
+        return NOT_POSITIVE
+
+    if model.collisions and source is None and not second:
+        before = relaxation_rate(model, density, temperature)
+        after = relaxation_rate(model, wanted[0] * grid.weight, temperature_new * omega_new * omega_new)
+        z = 0.5 * dt * (before + after)
+        depth[j, i] = z
+    weight_last = 0.5 * z * z if second else z
+    whole = 1.0 + z + weight_last if second else 1.0 + z
+    mismatch, answer, share = relax(
+        grid, model, weight_first, weight_last, whole, temperature_new, first, source, work
+    )
+    if source is not None and mismatch >= 0.0:
+        mismatch = correct_signed(grid, model, share, whole, temperature_new, work)
+        share = 0.0
+    if mismatch < 0.0:
+        return NO_CORRECTION
+    report[MISMATCH] = mismatch
+    report[GAUSSIANS_REPLACED] = 1.0 if replaced == REPLACED or answer == REPLACED else 0.0
+    new.omega[j + space.wy, i + space.wx] = omega_new
+    watched = second or dt == 0.0
+    numbers = finish(grid, watched, share, whole, out, cell, new.sums[j, i], work, report)
+    return problem(answer) if numbers else NOT_A_NUMBER
+
+
 @kernel
 def sweep(  # type: ignore[no-untyped-def]
     grid,
@@ -390,361 +824,41 @@ def sweep(  # type: ignore[no-untyped-def]
         Receive the rates of mass, momentum and energy through the outermost faces (x lower, x upper, y lower, y upper),
         counted along +x and +y, per area of face times 1/dx or 1/dy.
     """
-    d, points, slab_size, block, weight = (
-        grid.dimensions,
-        grid.points,
-        grid.slab_size,
-        grid.block,
-        grid.weight,
-    )
-    points_x = points[0]
-    nx, ny, wx, wy = space.nx, space.ny, space.wx, space.wy
-    row = (nx + 2 * wx) * block
-    gx, gy = wx, wy
-    omega = stage.omega
-    west, south, result = work.west, work.south, work.result
-    south_moments, rates, v, extremes = work.south_moments, work.rates, work.vectors, work.extremes
-    west_moments, east_moments, north_moments = v[0], v[1], v[2]
-    west_through, north_through, south_through, east_through = v[3], v[4], v[5], v[6]
-    target, sums, m0, wanted, tensor, centre, fitted = v[7], v[8], v[9], v[10], v[11], v[12], v[13]
-    factor_x, factor_slab = work.correction[0], work.correction[1]
-    carries = model.kinetic or model.conservative
-    watched = second or dt == 0.0
-    for n in range(0, block, 8):
-        store(west, n, splat(0.0))
-    for n in range(0, nx * block, 8):
-        store(south, n, splat(0.0))
-    west_moments[:] = 0.0
-    south_moments[:] = 0.0
+    for n in range(0, grid.block, 8):
+        store(work.west, n, splat(0.0))
+    for n in range(0, space.nx * grid.block, 8):
+        store(work.south, n, splat(0.0))
+    work.vectors[WEST, :] = 0.0
+    work.south_moments[:] = 0.0
     # ghost cells first, below and left of the others: the sweep needs the fluxes through their upper faces
-    for j in range(0 if space.dimensions < 2 else -1, ny):
-        for i in range(0 if space.dimensions < 1 else -1, nx):
+    for j in range(0 if space.dimensions < 2 else -1, space.ny):
+        for i in range(0 if space.dimensions < 1 else -1, space.nx):
             if i < 0 and j < 0:
                 continue
-            cell = (j + wy) * row + (i + wx) * block
-            here = omega[j + gy, i + gx]
-            omega_w, omega_e, omega_s, omega_n = (here, here), (here, here), (here, here), (here, here)
-            across_x, across_y = space.dimensions >= 1 and j >= 0, space.dimensions == 2 and i >= 0
-            if across_x:
-                omega_e = face_omega(model.conservative, omega, j + gy, i + gx, 0, 1)
-            if across_y:
-                omega_n = face_omega(model.conservative, omega, j + gy, i + gx, 1, 0)
-            upper_fluxes(
+            cell = (j + space.wy) * (space.nx + 2 * space.wx) * grid.block + (i + space.wx) * grid.block
+            cross(grid, space, model, g, cell, stage.omega, j, i, work)
+            if i < 0 or j < 0:
+                continue
+            net_rates(grid.weight, space, sides, j, i, work.vectors, work.south_moments)
+            report = diagnostics[j, i]
+            report[STATUS] = advance(
+                grid,
+                space,
+                model,
+                second,
+                dt,
                 g,
-                cell,
-                block if across_x else 0,
-                row if across_y else 0,
-                points_x,
-                slab_size,
-                grid.below,
-                grid.x,
-                grid.slab,
-                (omega_e[0], omega_e[1], omega_n[0], omega_n[1]),
-                space.per_dx if across_x else 0.0,
-                space.per_dy if across_y else 0.0,
-                west if j >= 0 else work.gaussian,
-                south if i >= 0 else work.gaussian,
-                max(i, 0) * block,
-                work.faces,
-                result,
-                east_moments,
-                north_moments,
-            )
-            if j < 0:
-                for q in range(5):
-                    south_moments[i, q] = north_moments[q]
-                continue
-            if i < 0:
-                for q in range(5):
-                    west_moments[q] = east_moments[q]
-                continue
-            if across_x:
-                omega_w = face_omega(model.conservative, omega, j + gy, i + gx - 1, 0, 1)
-            if across_y:
-                omega_s = face_omega(model.conservative, omega, j + gy - 1, i + gx, 1, 0)
-            through(west_moments, weight, west_through)
-            through(east_moments, weight, east_through)
-            through(south_moments[i], weight, south_through)
-            through(north_moments, weight, north_through)
-            for q in range(5):
-                if i == 0:
-                    sides[0][j, q] = west_through[q]
-                if i == nx - 1:
-                    sides[1][j, q] = east_through[q]
-                if j == 0:
-                    sides[2][i, q] = south_through[q]
-                if j == ny - 1:
-                    sides[3][i, q] = north_through[q]
-                west_moments[q] = east_moments[q]
-                south_moments[i, q] = north_moments[q]
-                # from here on `east_through` holds the net rate of the cell
-                east_through[q] = (west_through[q] - east_through[q]) + (south_through[q] - north_through[q])
-            rate = east_through
-
-            if source is not None:
-                rate[4] += heating[j, i]
-
-            # the state at the beginning of this stage, in f's units
-            old = stage.carried[j, i]
-            if carries:
-                density, energy = old[0], old[4]
-                ux, uy, uz = old[1] / density, old[2] / density, old[3] / density
-            else:
-                s = stage.sums[j, i]
-                density = weight * s[0]
-                ux, uy, uz = here * s[1] / s[0], here * s[2] / s[0], here * s[3] / s[0]
-                energy = 0.5 * weight * here * here * (s[4] + s[7] + s[9])
-            kinetic_energy = 0.5 * density * (ux * ux + uy * uy + uz * uz)
-            thermal = energy - kinetic_energy
-            status = HEALTHY
-            if not (density > 0.0 and thermal > 0.0):
-                diagnostics[j, i, STATUS] = NOT_POSITIVE
-                continue
-            temperature = 2.0 * thermal / (d * density)
-
-            # cooling: one rate for drag and scaling, the mean over the step (ahead in stage one, behind in stage two)
-            beta = 0.0
-            if model.cooling > 0.0:
-                frequency = model.cooling * density * math.sqrt(temperature)
-                beta = frequency
-                if dt > 0.0:
-                    beta = (
-                        -math.log(max(1.0 - frequency * dt, 1e-3)) / dt
-                        if second
-                        else math.log(1.0 + frequency * dt) / dt
-                    )
-            if model.kinetic:
-                transported = 0.5 * (rate[4] / energy - rate[0] / density)
-                total_rate = transported + beta * (kinetic_energy / energy)
-            else:
-                total_rate = growth[j, i] + beta
-            rates[0] = total_rate
-            for q in range(2):
-                rates[1 + q] = (omega_e[q] - omega_w[q]) * space.per_dx
-                rates[3 + q] = (omega_n[q] - omega_s[q]) * space.per_dy
-            rates[5], rates[6], rates[7] = beta * ux / here, beta * uy / here, beta * uz / here
-            rates[8], rates[9], rates[10] = grid.per_spacing[0], grid.per_spacing[1], grid.per_spacing[2]
-            crossing = max(omega_w[0], omega_w[1], omega_e[0], omega_e[1]) * grid.half_width[0] * space.per_dx
-            crossing += max(omega_s[0], omega_s[1], omega_n[0], omega_n[1]) * grid.half_width[1] * space.per_dy
-            drifting = 0.0
-            turning = abs(total_rate) + max(abs(rates[1]), abs(rates[2])) * grid.half_width[0]
-            turning += max(abs(rates[3]), abs(rates[4])) * grid.half_width[1]
-            for q in range(d):
-                drifting += (turning * grid.half_width[q] + abs(rates[5 + q])) * grid.per_spacing[q]
-
-            # transport and drift
-            first = start.sums[j, i]
-            z = depth[j, i] if second or source is not None else 0.0
-            weight_old, weight_new = (0.5, 0.5 * (1.0 + z)) if second else (0.0, 1.0)
-            weight_first, replaced = 0.5 * z, 0.0
-            if source is not None:
-                at = (j * nx + i) * block
-                for n in range(0, block, 8):
-                    store(result, n, load(result, n) + load(source, at + n))
-            substeps = drift_substeps(dt, crossing, drifting, model.courant)
-            if substeps == 0:
-                scratch = work.scratch
-                drift.apply(grid.stencil, g, cell, grid, rates, out, weight_old, weight_new, dt, scratch, result)
-            else:
-                share = 0.0
-                if weight_first > 0.0 and second and model.collisions:
-                    density_blend = blend(model.nu, d, first, first, first, 1.0, 1.0, 0.0, 1.0, centre, tensor)
-                    answer = discrete_gaussian(density_blend, centre, tensor, grid, work.fit, work.gaussian, fitted)
-                    if answer > REPLACED:
-                        diagnostics[j, i, STATUS] = TOO_COLD_FOR_GRID if answer == TOO_COLD else NO_GAUSSIAN
-                        continue
-                    replaced = 1.0 if answer == REPLACED else 0.0
-                    share = weight_first * density_blend / fitted[0]
-                take_substeps(g, out, cell, grid, rates, second, weight_new, share, dt, substeps, work)
-                weight_first = 0.0
-
-            # the carried moments at the end of the stage
-            dissipated = 0.0
-            mismatch = 0.0
-            omega_new = omega_end[j, i]
-            if carries:
-                u = new.carried[j, i]
-                for q in range(5):
-                    u[q] = old[q] + dt * rate[q]
-                if second:
-                    begin = start.carried[j, i]
-                    before = begin[4] - 0.5 * (begin[1] ** 2 + begin[2] ** 2 + begin[3] ** 2) / begin[0]
-                    dissipated = before - cooled(before, begin[0], d, model.cooling, dt)
-                    for q in range(5):
-                        u[q] = 0.5 * begin[q] + 0.5 * u[q]
-                    u[4] -= 0.5 * dissipated
-                    dissipated *= 0.5
-                else:
-                    if not u[0] > 0.0:
-                        diagnostics[j, i, STATUS] = NOT_POSITIVE
-                        continue
-                    before = u[4] - 0.5 * (u[1] ** 2 + u[2] ** 2 + u[3] ** 2) / u[0]
-                    if not before > 0.0:
-                        diagnostics[j, i, STATUS] = NOT_POSITIVE
-                        continue
-                    dissipated = before - cooled(before, u[0], d, model.cooling, dt)
-                    u[4] -= dissipated
-                    dissipated *= 0.5
-                if not (u[0] > 0.0 and u[4] > 0.5 * (u[1] ** 2 + u[2] ** 2 + u[3] ** 2) / u[0]):
-                    diagnostics[j, i, STATUS] = NOT_POSITIVE
-                    continue
-                if model.kinetic:
-                    omega_new = math.sqrt(2.0 * u[4] / (d * u[0]))
-                wanted[0] = u[0] / weight
-                for q in range(3):
-                    wanted[1 + q] = u[1 + q] / (weight * omega_new)
-                wanted[4] = u[4] / (weight * omega_new * omega_new)
-            if not model.conservative:
-                for k in range(points_x):
-                    factor_x[k] = 1.0
-                for n in range(0, slab_size, 8):
-                    store(factor_slab, n, splat(1.0))
-                for q in range(3):
-                    target[q] = 0.0
-                weighted_sums(
-                    result,
-                    target,
-                    points_x,
-                    slab_size,
-                    grid.x,
-                    grid.slab,
-                    factor_x,
-                    factor_slab,
-                    work.correction[2],
-                    sums,
-                )
-                if not carries:
-                    before = cooled(thermal, density, d, model.cooling, -dt if second else dt)
-                    dissipated = 0.5 * abs(thermal - before)
-            cooling_rate = 2.0 * beta * thermal / energy
-            if source is not None:
-                dissipated = -0.5 * dt * heating[j, i]
-                cooling_rate = abs(heating[j, i]) / energy
-            for q in range(4):
-                m0[q] = first[q]
-            m0[4] = 0.5 * (first[4] + first[7] + first[9])
-            if not model.conservative:
-                wanted[4] = 0.5 * (sums[4] + sums[7] + sums[9])
-                for q in range(4):
-                    wanted[q] = sums[q]
-                if second:
-                    for q in range(5):
-                        wanted[q] = (wanted[q] + weight_first * m0[q]) / (1.0 + z)
-            density_new = wanted[0]
-            if not density_new > 0.0:
-                diagnostics[j, i, STATUS] = NOT_POSITIVE
-                continue
-            speed2 = (wanted[1] ** 2 + wanted[2] ** 2 + wanted[3] ** 2) / density_new**2
-            temperature_new = (2.0 * wanted[4] / density_new - speed2) / d
-            if not temperature_new > 0.0:
-                diagnostics[j, i, STATUS] = NOT_POSITIVE
-                continue
-            if model.collisions and source is None and not second:
-                z0 = relaxation_rate(model, density, temperature)
-                z1 = relaxation_rate(model, density_new * weight, temperature_new * omega_new * omega_new)
-                z = 0.5 * dt * (z0 + z1)
-                depth[j, i] = z
-            weight_last = 0.5 * z * z if second else z
-            if not second:
-                weight_first = 0.0
-            whole = 1.0 + z + weight_last if second else 1.0 + z
-            if model.conservative and source is None:
-                for q in range(5):
-                    target[q] = (whole - weight_last) * wanted[q] - weight_first * m0[q]
-                mismatch = correct(result, target, d, points_x, slab_size, grid.x, grid.slab, work.correction, sums)
-                if mismatch < 0.0:
-                    diagnostics[j, i, STATUS] = NO_CORRECTION
-                    continue
-            share = weight_first + weight_last
-            if model.collisions and share > 0.0:
-                density_blend = blend(
-                    model.nu,
-                    d,
-                    first,
-                    sums,
-                    wanted,
-                    temperature_new,
-                    weight_first,
-                    weight_last,
-                    whole,
-                    centre,
-                    tensor,
-                )
-                answer = discrete_gaussian(density_blend, centre, tensor, grid, work.fit, work.gaussian, fitted)
-                # its mass to round-off, not only to Newton's tolerance
-                share *= density_blend / fitted[0] if answer <= REPLACED else 0.0
-                if answer == REPLACED:
-                    replaced = 1.0
-                elif answer == TOO_COLD:
-                    status = TOO_COLD_FOR_GRID
-                elif answer == FAILED:
-                    status = NO_GAUSSIAN
-            if source is not None:
-                # the operator leaves g negative in places, far so where it is penalised
-                if share > 0.0:
-                    for n in range(0, block, 8):
-                        store(result, n, load(result, n) + load(work.gaussian, n) * share)
-                    for q in range(10):
-                        sums[q] += fitted[q] * share
-                    share = 0.0
-                if model.conservative:
-                    for q in range(3):
-                        centre[q] = wanted[1 + q] / wanted[0]
-                    answer = discrete_maxwellian(
-                        wanted[0], centre, temperature_new, grid, work.fit, tensor, work.gaussian, fitted
-                    )
-                    for q in range(5):
-                        target[q] = whole * wanted[q]
-                    if answer <= REPLACED:
-                        mismatch = add_correction(
-                            result,
-                            work.gaussian,
-                            target,
-                            d,
-                            points_x,
-                            slab_size,
-                            grid.x,
-                            grid.slab,
-                            work.correction,
-                            sums,
-                        )
-                    if answer > REPLACED or mismatch < 0.0:
-                        diagnostics[j, i, STATUS] = NO_CORRECTION
-                        continue
-            done = new.sums[j, i]
-            for q in range(10):
-                done[q] = sums[q] / whole
-                if share > 0.0:
-                    done[q] += fitted[q] * (share / whole)
-            mix(
-                result,
-                factor_x,
-                factor_slab,
-                1.0 / whole,
-                work.gaussian,
-                share / whole,
-                points_x,
-                slab_size,
-                grid.x,
-                grid.slab,
                 out,
-                cell,
-                watched,
-                extremes,
+                start,
+                stage,
+                new,
+                growth,
+                omega_end,
+                depth,
+                source,
+                heating,
+                report,
+                j,
+                i,
+                work,
             )
-            if watched:
-                diagnostics[j, i, BOX_MASS] = extremes[2] / done[0]
-                diagnostics[j, i, BOX_ENERGY] = extremes[3] / (done[4] + done[7] + done[9])
-            # what is no number anywhere in g is none in its sums
-            if not math.isfinite(done[0] + (done[4] + done[7] + done[9])):
-                status = NOT_A_NUMBER
-            new.omega[j + gy, i + gx] = omega_new
-            diagnostics[j, i, SMALLEST] = extremes[0]
-            diagnostics[j, i, LARGEST] = extremes[1]
-            diagnostics[j, i, MISMATCH] = mismatch
-            diagnostics[j, i, GAUSSIANS_REPLACED] = replaced
-            diagnostics[j, i, TRANSPORT] = crossing
-            diagnostics[j, i, DRIFT] = drifting
-            diagnostics[j, i, DISSIPATED] = dissipated
-            diagnostics[j, i, COOLING_RATE] = cooling_rate
-            diagnostics[j, i, STATUS] = status

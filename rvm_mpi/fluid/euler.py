@@ -28,272 +28,225 @@ import numpy as np
 from rvm_mpi.fluid.walls import GHOSTS, Side
 from rvm_mpi.fluid.weno import weno5
 from rvm_mpi.kernels import kernel, part
+from rvm_mpi.simd import LANES, load, maximum, minimum, splat, store, where_positive
 
 if TYPE_CHECKING:
     from rvm_mpi.domain import Domain
     from rvm_mpi.job import Job
 
-#: rows (or columns) swept together, in the lanes of a vector
-LANES = 16
 #: density and internal energy that a face leaves of the first-order update, at least
 KEPT = 1e-2
 #: a step that loses positivity is repeated as two halves at most this often
 HALVINGS = 8
 
-# One record of the sweep's work array is a cell and the face on its right; each slot holds LANES numbers.
-# The conserved variables come first (density, normal momentum, two tangential momenta, energy), then
-# their fluxes.
-_STATE, _FLUX = 0, 5
-_VELOCITY, _SOUND2, _ROOT, _FASTEST, _SPEED = 10, 13, 14, 15, 16  # _SPEED: |u - c|, |u|, |u + c|
-_HIGH, _LOW, _FIRST, _INNER = 19, 24, 29, 34  # both fluxes, first-order update, its internal energy
-_THETA = 35  # the part of the high-order flux that is kept
-_RECORD = 36
+# In the sweep's work array a slot is a vector: a number for each of the rows (or columns) that are swept together.
+# First come the slots of a face: its average state and speeds, then what the characteristic fields carry.
+_MEAN, _KINETIC, _ENTHALPY, _BOUND = (LANES * slot for slot in (0, 5, 6, 7))  # _MEAN: u, v, w, c^2, c
+_FIELD, _RIGHTWARD, _LEFTWARD, _FACE = (LANES * slot for slot in (10, 15, 45, 75))
 
-# Slots of a face's own work: its average state and speeds, then what the characteristic fields carry.
-_MEAN, _MEAN_SOUND2, _MEAN_SOUND, _KINETIC, _ENTHALPY, _BOUND = 0, 3, 4, 5, 6, 7
-_FIELD, _RIGHTWARD, _LEFTWARD = 10, 15, 45
-_FACE = 75
-
-
-@part(fused=False)
-def _at(slot: int, lane: int) -> np.uint64:
-    """Index of a slot's lane.
-
-    Unsigned, since numba's handling of negative indices would keep the compiler from vectors of lanes; so
-    would its `range`, hence the while loops over lanes.
-    """
-    return np.uint64(slot * LANES + lane)
+# Then records, each a cell and the face on its right. The conserved variables come first (density, normal momentum, two
+# tangential momenta, energy), then their fluxes.
+_STATE, _FLUX = 0, LANES * 5
+_VELOCITY, _FASTEST, _SPEED = LANES * 10, LANES * 15, LANES * 16  # u, v, w, c^2, root of density; |u - c|, |u|, |u + c|
+_HIGH, _LOW = LANES * 19, LANES * 24  # both fluxes
+_FIRST, _INNER = LANES * 29, LANES * 34  # the first-order update and its internal energy
+_RECORD = LANES * 35
 
 
 @part(fused=False)
-def _complete(cell: np.ndarray, gamma: float) -> None:
+def _five(work, at):  # type: ignore[no-untyped-def]
+    """Five slots: the conserved variables, or what belongs to each of them."""
+    return (
+        load(work, at),
+        load(work, at + LANES),
+        load(work, at + 2 * LANES),
+        load(work, at + 3 * LANES),
+        load(work, at + 4 * LANES),
+    )
+
+
+@part(fused=False)
+def _keep(work, at, a, b, c, d, e):  # type: ignore[no-untyped-def]
+    """Set five slots."""
+    store(work, at, a)
+    store(work, at + LANES, b)
+    store(work, at + 2 * LANES, c)
+    store(work, at + 3 * LANES, d)
+    store(work, at + 4 * LANES, e)
+
+
+@part(fused=False)
+def _complete(work, cell, gamma):  # type: ignore[no-untyped-def]
     """Velocity, sound speed, fluxes and speeds of one cell's conserved variables."""
-    k = 0
-    while k < LANES:
-        density, normal = cell[_at(_STATE, k)], cell[_at(_STATE + 1, k)]
-        first, second, energy = cell[_at(_STATE + 2, k)], cell[_at(_STATE + 3, k)], cell[_at(_STATE + 4, k)]
-        u, v, w = normal / density, first / density, second / density
-        pressure = (gamma - 1.0) * (energy - 0.5 * (normal * u + (first * v + second * w)))
-        sound2 = gamma * pressure / density
-        sound = np.sqrt(sound2)
-        cell[_at(_FLUX, k)] = normal
-        cell[_at(_FLUX + 1, k)] = normal * u + pressure
-        cell[_at(_FLUX + 2, k)] = first * u
-        cell[_at(_FLUX + 3, k)] = second * u
-        cell[_at(_FLUX + 4, k)] = (energy + pressure) * u
-        cell[_at(_VELOCITY, k)] = u
-        cell[_at(_VELOCITY + 1, k)] = v
-        cell[_at(_VELOCITY + 2, k)] = w
-        cell[_at(_SOUND2, k)] = sound2
-        cell[_at(_ROOT, k)] = np.sqrt(density)
-        cell[_at(_FASTEST, k)] = abs(u) + sound
-        cell[_at(_SPEED, k)] = abs(u - sound)
-        cell[_at(_SPEED + 1, k)] = abs(u)
-        cell[_at(_SPEED + 2, k)] = abs(u + sound)
-        k += 1
+    density, normal, first, second, energy = _five(work, cell + _STATE)
+    u, v, w = normal / density, first / density, second / density
+    pressure = (gamma - 1.0) * (energy - 0.5 * (normal * u + (first * v + second * w)))
+    sound2 = gamma * pressure / density
+    sound = math.sqrt(sound2)
+    _keep(work, cell + _FLUX, normal, normal * u + pressure, first * u, second * u, (energy + pressure) * u)
+    _keep(work, cell + _VELOCITY, u, v, w, sound2, math.sqrt(density))
+    store(work, cell + _FASTEST, abs(u) + sound)
+    store(work, cell + _SPEED, abs(u - sound))
+    store(work, cell + _SPEED + LANES, abs(u))
+    store(work, cell + _SPEED + 2 * LANES, abs(u + sound))
 
 
 @part(fused=False)
-def _low_flux(pair: np.ndarray) -> None:
-    """First-order Lax-Friedrichs flux at the face between two cells, with the larger speed of the two."""
-    for c in range(5):
-        k = 0
-        while k < LANES:
-            a, b = pair[_at(_FASTEST, k)], pair[_at(_RECORD + _FASTEST, k)]
-            speed = a if a > b else b
-            jump = pair[_at(_RECORD + _STATE + c, k)] - pair[_at(_STATE + c, k)]
-            twice_mean = pair[_at(_FLUX + c, k)] + pair[_at(_RECORD + _FLUX + c, k)]
-            pair[_at(_LOW + c, k)] = 0.5 * (twice_mean - speed * jump)
-            k += 1
+def _low_flux(work, cell):  # type: ignore[no-untyped-def]
+    """First-order Lax-Friedrichs flux at the face between a cell and the next, with the larger speed of the two."""
+    other = cell + _RECORD
+    speed = maximum(load(work, cell + _FASTEST), load(work, other + _FASTEST))
+    for c in range(0, 5 * LANES, LANES):
+        jump = load(work, other + _STATE + c) - load(work, cell + _STATE + c)
+        twice_mean = load(work, cell + _FLUX + c) + load(work, other + _FLUX + c)
+        store(work, cell + _LOW + c, 0.5 * (twice_mean - speed * jump))
 
 
 @part(fused=False)
-def _mean_state(stencil: np.ndarray, face: np.ndarray, gamma: float) -> None:
+def _mean_state(work, stencil, gamma):  # type: ignore[no-untyped-def]
     """Roe's average of the two cells beside the face; the largest speed of each field over the six cells."""
-    left, right = 2 * _RECORD, 3 * _RECORD
-    k = 0
-    while k < LANES:
-        a, b = stencil[_at(left + _ROOT, k)], stencil[_at(right + _ROOT, k)]
-        total = a + b
-        a, b = a / total, b / total
-        ul, ur = stencil[_at(left + _VELOCITY, k)], stencil[_at(right + _VELOCITY, k)]
-        vl, vr = stencil[_at(left + _VELOCITY + 1, k)], stencil[_at(right + _VELOCITY + 1, k)]
-        wl, wr = stencil[_at(left + _VELOCITY + 2, k)], stencil[_at(right + _VELOCITY + 2, k)]
-        u, v, w = a * ul + b * ur, a * vl + b * vr, a * wl + b * wr
-        du, dv, dw = ur - ul, vr - vl, wr - wl
-        kinetic = 0.5 * (u * u + (v * v + w * w))
-        # the average enthalpy less the kinetic energy, written so that it cannot turn negative
-        sound2 = a * stencil[_at(left + _SOUND2, k)] + b * stencil[_at(right + _SOUND2, k)]
-        sound2 += 0.5 * (gamma - 1.0) * (a * b) * (du * du + (dv * dv + dw * dw))
-        face[_at(_MEAN, k)] = u
-        face[_at(_MEAN + 1, k)] = v
-        face[_at(_MEAN + 2, k)] = w
-        face[_at(_MEAN_SOUND2, k)] = sound2
-        face[_at(_MEAN_SOUND, k)] = np.sqrt(sound2)
-        face[_at(_KINETIC, k)] = kinetic
-        face[_at(_ENTHALPY, k)] = sound2 / (gamma - 1.0) + kinetic
-        k += 1
-    for field in range(3):
-        slot = _SPEED + field
-        k = 0
-        while k < LANES:
-            a, b = stencil[_at(slot, k)], stencil[_at(_RECORD + slot, k)]
-            c, d = stencil[_at(2 * _RECORD + slot, k)], stencil[_at(3 * _RECORD + slot, k)]
-            e, f = stencil[_at(4 * _RECORD + slot, k)], stencil[_at(5 * _RECORD + slot, k)]
-            a, c, e = (a if a > b else b), (c if c > d else d), (e if e > f else f)
-            a = a if a > c else c
-            face[_at(_BOUND + field, k)] = a if a > e else e
-            k += 1
+    ul, vl, wl, left, a = _five(work, stencil + 2 * _RECORD + _VELOCITY)
+    ur, vr, wr, right, b = _five(work, stencil + 3 * _RECORD + _VELOCITY)
+    total = a + b
+    a, b = a / total, b / total
+    u, v, w = a * ul + b * ur, a * vl + b * vr, a * wl + b * wr
+    du, dv, dw = ur - ul, vr - vl, wr - wl
+    kinetic = 0.5 * (u * u + (v * v + w * w))
+    # the average enthalpy less the kinetic energy, written so that it cannot turn negative
+    sound2 = a * left + b * right
+    sound2 = sound2 + 0.5 * (gamma - 1.0) * (a * b) * (du * du + (dv * dv + dw * dw))
+    _keep(work, _MEAN, u, v, w, sound2, math.sqrt(sound2))
+    store(work, _KINETIC, kinetic)
+    store(work, _ENTHALPY, sound2 / (gamma - 1.0) + kinetic)
+    for field in range(0, 3 * LANES, LANES):
+        fastest = load(work, stencil + _SPEED + field)
+        for s in range(1, 6):
+            fastest = maximum(fastest, load(work, stencil + s * _RECORD + _SPEED + field))
+        store(work, _BOUND + field, fastest)
 
 
 @part(fused=False)
-def _project(cell: np.ndarray, face: np.ndarray, split: np.ndarray, gamma: float) -> None:
-    """One cell's part of the split fluxes (f + a w)/2 and (f - a w)/2 in the face's characteristic fields.
-
-    The fields: u - c, entropy, two shears, u + c.
-    """
-    leftward = _LEFTWARD - _RIGHTWARD
-    k = 0
-    while k < LANES:
-        u, v, w = face[_at(_MEAN, k)], face[_at(_MEAN + 1, k)], face[_at(_MEAN + 2, k)]
-        sound2, sound, kinetic = face[_at(_MEAN_SOUND2, k)], face[_at(_MEAN_SOUND, k)], face[_at(_KINETIC, k)]
-        slow, middle, fast = face[_at(_BOUND, k)], face[_at(_BOUND + 1, k)], face[_at(_BOUND + 2, k)]
-        inverse = 1.0 / sound2
-
-        q, qn, qe = cell[_at(_STATE, k)], cell[_at(_STATE + 1, k)], cell[_at(_STATE + 4, k)]
-        q1, q2 = cell[_at(_STATE + 2, k)], cell[_at(_STATE + 3, k)]
-        pressure = (gamma - 1.0) * ((kinetic * q - (u * qn + (v * q1 + w * q2))) + qe) * inverse
-        push = sound * (qn - u * q) * inverse
-        w_slow, w_fast = 0.5 * (pressure - push), 0.5 * (pressure + push)
-        w_entropy, w_first, w_second = q - pressure, q1 - v * q, q2 - w * q
-
-        q, qn, qe = cell[_at(_FLUX, k)], cell[_at(_FLUX + 1, k)], cell[_at(_FLUX + 4, k)]
-        q1, q2 = cell[_at(_FLUX + 2, k)], cell[_at(_FLUX + 3, k)]
-        pressure = (gamma - 1.0) * ((kinetic * q - (u * qn + (v * q1 + w * q2))) + qe) * inverse
-        push = sound * (qn - u * q) * inverse
-        f_slow, f_fast = 0.5 * (pressure - push), 0.5 * (pressure + push)
-        f_entropy, f_first, f_second = q - pressure, q1 - v * q, q2 - w * q
-
-        split[_at(0, k)] = 0.5 * (f_slow + slow * w_slow)
-        split[_at(1, k)] = 0.5 * (f_entropy + middle * w_entropy)
-        split[_at(2, k)] = 0.5 * (f_first + middle * w_first)
-        split[_at(3, k)] = 0.5 * (f_second + middle * w_second)
-        split[_at(4, k)] = 0.5 * (f_fast + fast * w_fast)
-        split[_at(leftward, k)] = 0.5 * (f_slow - slow * w_slow)
-        split[_at(leftward + 1, k)] = 0.5 * (f_entropy - middle * w_entropy)
-        split[_at(leftward + 2, k)] = 0.5 * (f_first - middle * w_first)
-        split[_at(leftward + 3, k)] = 0.5 * (f_second - middle * w_second)
-        split[_at(leftward + 4, k)] = 0.5 * (f_fast - fast * w_fast)
-        k += 1
+def _in_fields(work, at, gamma):  # type: ignore[no-untyped-def]
+    """Five slots of a cell in the face's characteristic fields: u - c, entropy, two shears, u + c."""
+    q, qn, q1, q2, qe = _five(work, at)
+    u, v, w, sound2, sound = _five(work, _MEAN)
+    inverse = 1.0 / sound2
+    pressure = (gamma - 1.0) * ((load(work, _KINETIC) * q - (u * qn + (v * q1 + w * q2))) + qe) * inverse
+    push = sound * (qn - u * q) * inverse
+    return 0.5 * (pressure - push), q - pressure, q1 - v * q, q2 - w * q, 0.5 * (pressure + push)
 
 
 @part(fused=False)
-def _reconstruct(face: np.ndarray) -> None:
+def _project(work, cell, split, gamma):  # type: ignore[no-untyped-def]
+    """One cell's part of the split fluxes (f + a w)/2 and (f - a w)/2 in the face's characteristic fields."""
+    w_slow, w_entropy, w_first, w_second, w_fast = _in_fields(work, cell + _STATE, gamma)
+    f_slow, f_entropy, f_first, f_second, f_fast = _in_fields(work, cell + _FLUX, gamma)
+    slow, middle, fast = load(work, _BOUND), load(work, _BOUND + LANES), load(work, _BOUND + 2 * LANES)
+    w_slow, w_fast = slow * w_slow, fast * w_fast
+    w_entropy, w_first, w_second = middle * w_entropy, middle * w_first, middle * w_second
+    _keep(
+        work,
+        _RIGHTWARD + split,
+        0.5 * (f_slow + w_slow),
+        0.5 * (f_entropy + w_entropy),
+        0.5 * (f_first + w_first),
+        0.5 * (f_second + w_second),
+        0.5 * (f_fast + w_fast),
+    )
+    _keep(
+        work,
+        _LEFTWARD + split,
+        0.5 * (f_slow - w_slow),
+        0.5 * (f_entropy - w_entropy),
+        0.5 * (f_first - w_first),
+        0.5 * (f_second - w_second),
+        0.5 * (f_fast - w_fast),
+    )
+
+
+@part(fused=False)
+def _reconstruct(work):  # type: ignore[no-untyped-def]
     """WENO5 of the split fluxes of each characteristic field, from both sides."""
-    for field in range(5):
+    step = 5 * LANES
+    for field in range(0, 5 * LANES, LANES):
         p, m = _RIGHTWARD + field, _LEFTWARD + field
-        k = 0
-        while k < LANES:
-            a, b, c = face[_at(p, k)], face[_at(p + 5, k)], face[_at(p + 10, k)]
-            from_left = weno5(a, b, c, face[_at(p + 15, k)], face[_at(p + 20, k)])
-            a, b, c = face[_at(m + 25, k)], face[_at(m + 20, k)], face[_at(m + 15, k)]
-            from_right = weno5(a, b, c, face[_at(m + 10, k)], face[_at(m + 5, k)])
-            face[_at(_FIELD + field, k)] = from_left + from_right
-            k += 1
+        a, b, c = load(work, p), load(work, p + step), load(work, p + 2 * step)
+        from_left = weno5(a, b, c, load(work, p + 3 * step), load(work, p + 4 * step))
+        a, b, c = load(work, m + 5 * step), load(work, m + 4 * step), load(work, m + 3 * step)
+        from_right = weno5(a, b, c, load(work, m + 2 * step), load(work, m + step))
+        store(work, _FIELD + field, from_left + from_right)
 
 
 @part(fused=False)
-def _assemble(face: np.ndarray, cell: np.ndarray) -> None:
-    """From the characteristic fields back to the flux, kept in the record of the cell on the face's left."""
-    k = 0
-    while k < LANES:
-        u, v, w = face[_at(_MEAN, k)], face[_at(_MEAN + 1, k)], face[_at(_MEAN + 2, k)]
-        slow, entropy, fast = face[_at(_FIELD, k)], face[_at(_FIELD + 1, k)], face[_at(_FIELD + 4, k)]
-        first, second = face[_at(_FIELD + 2, k)], face[_at(_FIELD + 3, k)]
-        both, push = slow + fast, face[_at(_MEAN_SOUND, k)] * (fast - slow)
-        mass = both + entropy
-        heat = face[_at(_ENTHALPY, k)] * both + (u * push + face[_at(_KINETIC, k)] * entropy)
-        cell[_at(_HIGH, k)] = mass
-        cell[_at(_HIGH + 1, k)] = u * mass + push
-        cell[_at(_HIGH + 2, k)] = v * mass + first
-        cell[_at(_HIGH + 3, k)] = w * mass + second
-        cell[_at(_HIGH + 4, k)] = heat + (v * first + w * second)
-        k += 1
-
-
-@part(fused=False)
-def _high_flux(stencil: np.ndarray, face: np.ndarray, gamma: float) -> None:
-    """WENO5 flux at the face between the third and the fourth of six cells."""
-    _mean_state(stencil, face, gamma)
+def _high_flux(work, stencil, gamma):  # type: ignore[no-untyped-def]
+    """WENO5 flux at the face between the third and the fourth of six cells, kept with the third."""
+    _mean_state(work, stencil, gamma)
     for s in range(6):
-        _project(stencil[s * _RECORD * LANES :], face, face[(_RIGHTWARD + 5 * s) * LANES :], gamma)
-    _reconstruct(face)
-    _assemble(face, stencil[2 * _RECORD * LANES :])
+        _project(work, stencil + s * _RECORD, s * 5 * LANES, gamma)
+    _reconstruct(work)
+    u, v, w, _sound2, sound = _five(work, _MEAN)
+    slow, entropy, first, second, fast = _five(work, _FIELD)
+    both, push = slow + fast, sound * (fast - slow)
+    mass = both + entropy
+    heat = load(work, _ENTHALPY) * both + (u * push + load(work, _KINETIC) * entropy)
+    _keep(
+        work,
+        stencil + 2 * _RECORD + _HIGH,
+        mass,
+        u * mass + push,
+        v * mass + first,
+        w * mass + second,
+        heat + (v * first + w * second),
+    )
 
 
 @part(fused=False)
-def _first_order_update(pair: np.ndarray, ratio: float) -> None:
-    """First-order update of the right one of two cells through its two faces; ratio = d_x dt/h."""
-    for c in range(5):
-        k = 0
-        while k < LANES:
-            difference = pair[_at(_RECORD + _LOW + c, k)] - pair[_at(_LOW + c, k)]
-            pair[_at(_RECORD + _FIRST + c, k)] = pair[_at(_RECORD + _STATE + c, k)] - ratio * difference
-            k += 1
-    first = _RECORD + _FIRST
-    k = 0
-    while k < LANES:
-        normal, shear, other = pair[_at(first + 1, k)], pair[_at(first + 2, k)], pair[_at(first + 3, k)]
-        kinetic = 0.5 * (normal * normal + (shear * shear + other * other)) / pair[_at(first, k)]
-        pair[_at(_RECORD + _INNER, k)] = pair[_at(first + 4, k)] - kinetic
-        k += 1
+def _inner_energy(density, normal, shear, other, energy):  # type: ignore[no-untyped-def]
+    return energy - 0.5 * (normal * normal + (shear * shear + other * other)) / density
 
 
 @part(fused=False)
-def _allowed(pair: np.ndarray, cell: int, weight: float) -> None:
-    """Lower the face's theta to what one of its two cells allows, which loses weight times the flux.
+def _first_order_update(work, cell, ratio):  # type: ignore[no-untyped-def]
+    """First-order update of a cell through its two faces; ratio = d_x dt/h."""
+    for c in range(0, 5 * LANES, LANES):
+        difference = load(work, cell + _LOW + c) - load(work, cell - _RECORD + _LOW + c)
+        store(work, cell + _FIRST + c, load(work, cell + _STATE + c) - ratio * difference)
+    density, normal, shear, other, energy = _five(work, cell + _FIRST)
+    store(work, cell + _INNER, _inner_energy(density, normal, shear, other, energy))
+
+
+@part(fused=False)
+def _allowed(work, face, cell, weight):  # type: ignore[no-untyped-def]
+    """The part of a face's high-order flux that one of its two cells allows, which loses weight times the flux.
 
     That half of its update must keep the fraction KEPT of the density and internal energy of the first-order
     update. The internal energy is concave along the way, so its chord bounds it from below.
     """
-    first = cell + _FIRST
-    k = 0
-    while k < LANES:
-        density, inner = pair[_at(first, k)], pair[_at(cell + _INNER, k)]
-        loss = weight * (pair[_at(_HIGH, k)] - pair[_at(_LOW, k)])
-        spare = (1.0 - KEPT) * density
-        part = spare / (loss if loss > spare else spare)
-        scale = part * weight
-        density = density - part * loss
-        normal = pair[_at(first + 1, k)] - scale * (pair[_at(_HIGH + 1, k)] - pair[_at(_LOW + 1, k)])
-        shear = pair[_at(first + 2, k)] - scale * (pair[_at(_HIGH + 2, k)] - pair[_at(_LOW + 2, k)])
-        other = pair[_at(first + 3, k)] - scale * (pair[_at(_HIGH + 3, k)] - pair[_at(_LOW + 3, k)])
-        energy = pair[_at(first + 4, k)] - scale * (pair[_at(_HIGH + 4, k)] - pair[_at(_LOW + 4, k)])
-        loss = inner - (energy - 0.5 * (normal * normal + (shear * shear + other * other)) / density)
-        spare = (1.0 - KEPT) * inner
-        part *= spare / (loss if loss > spare else spare)
-        worst = density if density < inner else inner
-        part = part if worst > 0.0 else 0.0
-        theta = pair[_at(_THETA, k)]
-        pair[_at(_THETA, k)] = part if part < theta else theta
-        k += 1
+    density, normal, shear, other, energy = _five(work, cell + _FIRST)
+    inner = load(work, cell + _INNER)
+    h0, h1, h2, h3, h4 = _five(work, face + _HIGH)
+    l0, l1, l2, l3, l4 = _five(work, face + _LOW)
+    loss = weight * (h0 - l0)
+    spare = (1.0 - KEPT) * density
+    share = spare / maximum(loss, spare)
+    scale = share * weight
+    density = density - share * loss
+    normal, shear = normal - scale * (h1 - l1), shear - scale * (h2 - l2)
+    other, energy = other - scale * (h3 - l3), energy - scale * (h4 - l4)
+    loss = inner - _inner_energy(density, normal, shear, other, energy)
+    spare = (1.0 - KEPT) * inner
+    share = share * (spare / maximum(loss, spare))
+    return where_positive(minimum(density, inner), share, splat(0.0))
 
 
 @part(fused=False)
-def _limit(pair: np.ndarray, ratio: float) -> None:
-    """Draw the flux between two cells towards first order as far as either needs it; ratio = d_x dt/h."""
-    k = 0
-    while k < LANES:
-        pair[_at(_THETA, k)] = 1.0
-        k += 1
-    _allowed(pair, 0, 2.0 * ratio)
-    _allowed(pair, _RECORD, -2.0 * ratio)
-    for c in range(5):
-        k = 0
-        while k < LANES:
-            low = pair[_at(_LOW + c, k)]
-            pair[_at(_HIGH + c, k)] = low + pair[_at(_THETA, k)] * (pair[_at(_HIGH + c, k)] - low)
-            k += 1
+def _limit(work, cell, ratio):  # type: ignore[no-untyped-def]
+    """Draw the flux between a cell and the next towards first order as far as either needs it; ratio = d_x dt/h."""
+    theta = minimum(_allowed(work, cell, cell, 2.0 * ratio), splat(1.0))
+    theta = minimum(_allowed(work, cell, cell + _RECORD, -2.0 * ratio), theta)
+    for c in range(0, 5 * LANES, LANES):
+        low = load(work, cell + _LOW + c)
+        store(work, cell + _HIGH + c, low + theta * (load(work, cell + _HIGH + c) - low))
 
 
 @part(fused=False)
@@ -343,47 +296,40 @@ def sweep(
     wx = GHOSTS
     length, pencils = (nx, ny) if axis == 0 else (ny, nx)
     share = directions * ratio
-    face, records = work[: _FACE * LANES], work[_FACE * LANES :]
-    size = _RECORD * LANES
     for start in range(0, pencils, LANES):
         for i in range(length + 2 * GHOSTS):
-            cell = records[i * size :]
-            k = 0
-            while k < LANES:
+            cell = _FACE + i * _RECORD
+            for k in range(LANES):
                 p = min(start + k, pencils - 1)
                 row, column = (p + wy, i) if axis == 0 else (i, p + wx)
                 for c in range(components):
-                    cell[_at(_STATE + _slot(c, components, axis), k)] = state[row, column, c]
-                k += 1
-            _complete(cell, gamma)
+                    work[cell + _STATE + _slot(c, components, axis) * LANES + k] = state[row, column, c]
+            _complete(work, cell, gamma)
         for i in range(1, length + 4):
-            _low_flux(records[i * size :])
+            _low_flux(work, _FACE + i * _RECORD)
         for i in range(2, length + 3):
-            _high_flux(records[(i - 2) * size :], face, gamma)
-        k = 0
-        while k < LANES:
-            if solid_lower:
-                records[_at(2 * _RECORD + _HIGH, k)] = 0.0
-            if solid_upper:
-                records[_at((length + 2) * _RECORD + _HIGH, k)] = 0.0
-            k += 1
+            _high_flux(work, _FACE + (i - 2) * _RECORD, gamma)
+        if solid_lower:
+            store(work, _FACE + 2 * _RECORD + _HIGH, splat(0.0))
+        if solid_upper:
+            store(work, _FACE + (length + 2) * _RECORD + _HIGH, splat(0.0))
         for i in range(2, length + 4):
-            _first_order_update(records[(i - 1) * size :], share)
+            _first_order_update(work, _FACE + i * _RECORD, share)
         for i in range(2, length + 3):
-            _limit(records[i * size :], share)
+            _limit(work, _FACE + i * _RECORD, share)
         for i in range(length):
-            faces = records[(i + 2) * size :]
+            face = _FACE + (i + 2) * _RECORD + _HIGH
             for k in range(min(LANES, pencils - start)):
                 row, column = (start + k, i) if axis == 0 else (i, start + k)
                 for c in range(components):
-                    slot = _HIGH + _slot(c, components, axis)
-                    amount = -(ratio * (faces[_at(_RECORD + slot, k)] - faces[_at(slot, k)]))
+                    at = face + _slot(c, components, axis) * LANES + k
+                    amount = -(ratio * (work[_RECORD + at] - work[at]))
                     change[row, column, c] = amount if axis == 0 else change[row, column, c] + amount
 
 
 def work_size(cells: int) -> int:
     """Doubles that `sweep` needs for so many cells along its axis."""
-    return (_FACE + (cells + 2 * GHOSTS) * _RECORD) * LANES
+    return _FACE + (cells + 2 * GHOSTS) * _RECORD
 
 
 @part(fused=False)

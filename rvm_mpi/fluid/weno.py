@@ -17,19 +17,19 @@ TINY = 1e-40
 
 
 @part(fused=False)
-def weno5(a: float, b: float, c: float, d: float, e: float) -> float:
+def weno5(a, b, c, d, e):  # type: ignore[no-untyped-def]
     """Value at the face between c and d of the function whose cell averages are a to e, upwind from the left.
 
     From the right: the same with the five cells in reverse order.
 
     Parameters
     ----------
-    a, b, c, d, e : float
+    a, b, c, d, e : floats, or vectors of `simd.py`
         Averages over five consecutive cells.
 
     Returns
     -------
-    float
+    float or vector
     """
     from_a = (2.0 * a - 7.0 * b) + 11.0 * c
     from_b = (5.0 * c - b) + 2.0 * d

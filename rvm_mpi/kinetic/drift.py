@@ -47,8 +47,8 @@ PIECE = 256
 
 def scratch_size(points: tuple[int, int, int], slab_size: int) -> int:
     """Doubles of work space: rows of a slab, zeros before and after each, coefficients, fluxes between pieces."""
-    rows = SCRATCH_ROWS * (slab_size + 2 * _guard(points[2]))
-    return rows + 3 * TAPS + points[0] * _whole_vectors(points[2])
+    rows = SCRATCH_ROWS * (slab_size + 2 * _guard.plain(points[2]))
+    return rows + 3 * TAPS + points[0] * _whole_vectors.plain(points[2])
 
 
 @part
@@ -72,7 +72,9 @@ def _whole_vectors(count):  # type: ignore[no-untyped-def]
 @part
 def _piece(points_z):  # type: ignore[no-untyped-def]
     """Nodes of a piece: whole vectors and whole rows along z, so that no flux along z crosses into the next."""
-    step = 8 * points_z // math.gcd(8, points_z)
+    step = points_z
+    while step % 8 != 0:
+        step += points_z
     return max(PIECE // step, 1) * step
 
 

@@ -2,6 +2,7 @@
 
 import errno
 import fcntl
+import operator
 import os
 import shutil
 import subprocess
@@ -12,6 +13,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from llvmlite.binding import get_host_cpu_features
+from numba import njit
+from numba.core import types
+from numba.core.registry import cpu_target
 
 from rvm_mpi import kernels
 from rvm_mpi.kernels import kernel, part
@@ -242,6 +246,57 @@ def test_parts_within_kernels_and_by_themselves():
     assert times(2.0, 3) == 6.0
     assert tripled.__name__ == "tripled"
     assert tripled.__doc__ == "x three times."
+
+
+@part
+def power(base, exponent):
+    result = base
+    for _ in range(1, exponent):
+        result *= base
+    return result
+
+
+@kernel
+def powers(x):
+    return power(x, 2) + power(x, 3)
+
+
+def test_a_part_is_compiled_once_for_all_literals():
+    assert powers(2.0) == 12.0
+    assert len(power._part.overloads) == 1
+
+
+@kernel
+def touch(line, plane, numbers, out):
+    """Elements from either end, read and written, of arrays of one and two axes."""
+    out[0], out[1] = line[2], line[-1]
+    out[2], out[3], out[4] = plane[1, 2], plane[-1, -2], plane[1][0]
+    out[-1] = numbers[-2] + numbers[0]
+    line[1], line[-2] = 7, line[0]
+    plane[0, -1] = numbers[1]
+    numbers[-1] = 5
+
+
+@pytest.mark.parametrize("order", ["C", "F", "strided"])
+def test_elements_of_arrays(order):
+    def arrays():
+        line, plane, numbers = np.arange(4.0), 10.0 + np.arange(6.0).reshape(2, 3), np.arange(20, 23)
+        if order == "strided":
+            return np.repeat(line, 2)[::2], np.repeat(plane, 2, axis=1)[:, ::2], np.repeat(numbers, 2)[::2], np.ones(6)
+        return line, np.asarray(plane, order=order), numbers, np.ones(6)
+
+    found, wanted = arrays(), arrays()
+    touch(*found)
+    touch.py_func(*wanted)
+    for one, other in zip(found, wanted):
+        assert np.array_equal(one, other)
+
+
+def test_other_people_s_functions_keep_numba_s_own_rules():
+    assert combined(2.0, 5.0) == 16.0
+    own = cpu_target.typing_context.resolve_value_type(operator.add)
+    assert type(own) is types.Function
+    assert njit(lambda a, b: a + b)(1, np.ones(2)).tolist() == [2.0, 2.0]
 
 
 def test_products_are_fused_only_where_they_may_be():

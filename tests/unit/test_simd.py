@@ -13,7 +13,7 @@ from rvm_mpi.domain import aligned
 from rvm_mpi.kernels import kernel
 
 SETTINGS = settings(max_examples=80, deadline=None)
-ROWS = 28
+ROWS = 33
 
 
 @kernel
@@ -54,6 +54,11 @@ def operate(a, b, c, d, e, f, out, number):
     simd.store(out, 208, simd.spread(a, 3))
     simd.store(out, 216, simd.leading(va, int(number)))
     out[145] = simd.first_lane(vb)
+    simd.store(out, 224, va / vb)
+    simd.store(out, 232, va / number)
+    simd.store(out, 240, number / va)
+    simd.store(out, 248, abs(va))
+    simd.store(out, 256, math.sqrt(va))
     simd.prefetch(a, 0)
     simd.prefetch(a, 10**6)
 
@@ -113,6 +118,19 @@ def test_arithmetic(v, number):
     for lane in a:
         in_order += lane
     assert out[18, 0] == in_order
+
+
+@SETTINGS
+@given(v=vectors(sizes(30), 6), number=sizes(30))
+def test_division_and_roots(v, number):
+    a, b = v[:2]
+    out = results(v, number)
+    with np.errstate(all="ignore"):
+        assert np.array_equal(out[28], a / b, equal_nan=True)
+        assert np.array_equal(out[29], a / number, equal_nan=True)
+        assert np.array_equal(out[30], number / a, equal_nan=True)
+        assert np.array_equal(out[32], np.sqrt(a), equal_nan=True)
+    assert np.array_equal(out[31], np.abs(a))
 
 
 @SETTINGS
