@@ -2,8 +2,8 @@
 
 Each line is what `rvm bench` measures, one core, with AVX-512 where the machine has it (`native`) and with the
 instructions of an older processor that has AVX2 alone (`haswell`, compiled anew, a minute). The share of the arithmetic
-peak counts the additions, multiplications and divisions of `OPERATIONS` against fused multiply-adds of the same run. The
-last two columns are the stage's kernels alone and what a C compiler makes of the same (`stage_bound.py`).
+peak counts the additions, multiplications and divisions of `OPERATIONS` against fused multiply-adds of the same run.
+The last two columns are the stage's kernels alone and what a C compiler makes of the same (`stage_bound.py`).
 """
 
 import argparse
