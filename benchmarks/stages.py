@@ -3,6 +3,7 @@
 Each line is what `rvm bench` measures, one core, with AVX-512 where the machine has it (`native`) and with the
 instructions of an older processor that has AVX2 alone (`haswell`, compiled anew, a minute). The share of the arithmetic
 peak counts the additions, multiplications and divisions of `OPERATIONS` against fused multiply-adds of the same run.
+The last two columns are the stage's kernels alone and what a C compiler makes of the same (`stage_bound.py`).
 """
 
 import argparse
@@ -30,6 +31,8 @@ AVX2 = "+sse4.2,+popcnt,+avx,+avx2,+fma,+bmi,+bmi2,+lzcnt,+f16c,+movbe"
 #: and their moments 40, drift and update 41, sums over the nodes 12 (twice with the correction), the Gaussian once 11,
 #: the mixture of both 5
 OPERATIONS = {"corrected": 121, "uncorrected": 109}
+#: what is timed beside its twin in C (stage_bound.py): the grids whose slabs are whole vectors in each half
+BOUND = ("24x24x8", "16x16x16", "24x24x24", "32x32x32")
 MEASURE = "import sys, json; from rvm_mpi.bench import run_bench; run_bench(*json.loads(sys.argv[1]), as_json=True)"
 
 
@@ -50,13 +53,26 @@ def measure(cells: tuple[int, ...], velocity: tuple[int, ...], processor: str, c
     return found
 
 
+def bound(cells: tuple[int, ...], velocity: tuple[int, ...]) -> dict[str, float]:
+    """What stage_bound.py says."""
+    command = [sys.executable, Path(__file__).with_name("stage_bound.py"), *map(str, (*cells, *velocity))]
+    environment = {**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": str(PROJECT)}
+    done = subprocess.run(command, env=environment, check=True, stdout=subprocess.PIPE, text=True)
+    found: dict[str, float] = json.loads(done.stdout)
+    return found
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--grids", nargs="+", choices=GRIDS, default=list(GRIDS), metavar="GRID", help=" ".join(GRIDS))
     parser.add_argument("--processors", nargs="+", default=["native", "haswell"], help="as numba names them")
     options = parser.parse_args()
-    print("| velocities | processor | triad ns | stage ns | x triad | FMA peak | uncorrected ns | x triad | FMA peak |")
-    print("| --- | --- | --- | --- | --- | --- | --- | --- | --- |")
+    columns = ["velocities", "processor", "triad ns"]
+    for kind in ("stage", "uncorrected"):
+        columns += [f"{kind} ns", "x triad", "FMA peak"]
+    columns += ["its kernels ns", "the same in C ns"]
+    print("| " + " | ".join(columns) + " |")
+    print("| " + " | ".join(["---"] * len(columns)) + " |")
     with tempfile.TemporaryDirectory() as cache:
         for processor in options.processors:
             for name in options.grids:
@@ -67,6 +83,8 @@ def main() -> None:
                     ns = r[f"{prefix}_ns"]
                     share = f"{OPERATIONS[kind] / ns / r['gflops']:.0%}" if len(velocity) == 3 else ""
                     row += [f"{ns:.2f}", f"{r[f'{prefix}_per_triad']:.2f}", share]
+                limit = bound(cells, velocity) if processor == "native" and name in BOUND else None
+                row += [f"{limit['kernels_ns']:.2f}", f"{limit['c_ns']:.2f}"] if limit else ["", ""]
                 print("| " + " | ".join(row) + " |", flush=True)
 
 

@@ -164,7 +164,7 @@ def update(g, cell, grid, rates, old, weight_old, weight_new, dt, scratch, resul
             sx1 = -inside * per_x * xf
             # slopes: of the next slab along x, of this one along y and z, there for one row of the next piece too
             for n in range(begin, min(end + above, slab_size), 8):
-                prefetch(old, cell + grid.block + at + n)
+                prefetch(old, cell + at + 2 * slab_size + n)
                 c = load(g, base + n)
                 next_x = load(g, base + slab_size + n)
                 step, ahead = next_x - c, load(g, base + 2 * slab_size + n) - next_x

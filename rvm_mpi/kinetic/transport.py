@@ -14,6 +14,9 @@ from rvm_mpi.velocity import Y, Z
 
 #: nodes of a slab whose face values are kept at a time, few enough for the nearest cache
 PIECE = 128
+#: doubles ahead of their use that nodes of other cells are asked for: so few that they are still in the nearest cache
+#: then; blocks follow one another, so this goes on into the next cell's
+AHEAD = 128
 
 
 @part
@@ -77,17 +80,19 @@ def upper_fluxes(  # type: ignore[no-untyped-def]
         base = cell + k * slab_size
         at = k * slab_size
         if xk > 0.0:
-            here_x, behind_x, ahead_x = base, base - along_x, base + along_x
+            here_x, behind_x, ahead_x, new_x = base, base - along_x, base + along_x, base + along_x
         else:
-            here_x, behind_x, ahead_x = base + along_x, base + 2 * along_x, base
+            here_x, behind_x, ahead_x, new_x = base + along_x, base + 2 * along_x, base, base + 2 * along_x
         s0, sy, sz, s2 = zero, zero, zero, zero
         q0, q1, qy, qz, q2, q3 = zero, zero, zero, zero, zero, zero
         for begin in range(0, slab_size, PIECE):
             end = min(begin + PIECE, slab_size)
             # the values on the faces first: a slope is long in coming, and so more of them are under way at a time
             for n in range(begin, end, 8):
-                prefetch(g, base + 3 * along_x + n)
-                prefetch(g, base + 2 * along_y + along_x + n)
+                # a processor finds out by itself what comes next, but anew for each page
+                prefetch(g, new_x + AHEAD + n)
+                prefetch(g, base + along_y + AHEAD + n)
+                prefetch(g, (base - along_y if n >= below else base + 2 * along_y) + AHEAD + n)
                 u = load(g, here_x + n)
                 if n >= below:
                     v, behind, ahead = load(g, base + n), load(g, base - along_y + n), load(g, base + along_y + n)
