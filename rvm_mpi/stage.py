@@ -452,8 +452,7 @@ def drift_rates(grid, space, model, omega, j, i, rates):  # type: ignore[no-unty
     half_width, per_spacing = grid.half_width, grid.per_spacing
     crossing = max(w0, w1, e0, e1) * half_width[0] * space.per_dx
     crossing += max(s0, s1, n0, n1) * half_width[1] * space.per_dy
-    turning = abs(rates[0]) + max(abs(rates[1]), abs(rates[2])) * half_width[0]
-    turning += max(abs(rates[3]), abs(rates[4])) * half_width[1]
+    turning = drift.fastest_turning(rates, half_width)
     drifting = 0.0
     for q in range(3):
         rates[8 + q] = per_spacing[q]

@@ -95,6 +95,13 @@ def stencil(order: int) -> np.ndarray:
 
 
 @part
+def fastest_turning(rates, half_width):  # type: ignore[no-untyped-def]
+    """The largest |A + xi . grad omega| in the box."""
+    turning = abs(rates[0]) + max(abs(rates[1]), abs(rates[2])) * half_width[0]
+    return turning + max(abs(rates[3]), abs(rates[4])) * half_width[1]
+
+
+@part
 def turning_rates(rates):  # type: ignore[no-untyped-def]
     """A and d_x omega, for velocities that go up and down, and d_y omega likewise, for whole vectors."""
     return rates[0], rates[1], rates[2], splat(rates[3]), splat(rates[4])
@@ -258,11 +265,11 @@ def update_linear(g, cell, grid, rates, old, weight_old, weight_new, dt, scratch
     at_x = SCRATCH_ROWS * row
     a, rising_x, falling_x, rising_y, falling_y = turning_rates(rates)
     per_x, per_y, per_z, push_x, push_y, push_z = pushes(rates)
-    turning = abs(a) + max(abs(rates[1]), abs(rates[2])) * grid.half_width[0]
-    turning += max(abs(rates[3]), abs(rates[4])) * grid.half_width[1]
-    most_x = most_outflow(turning * grid.half_width[0] * per_x + abs(push_x), turning)
-    most_y = most_outflow(turning * grid.half_width[1] * per_y + abs(push_y), turning)
-    most_z = most_outflow(turning * grid.half_width[2] * per_z + abs(push_z), turning)
+    half_width = grid.half_width
+    most = fastest_turning(rates, half_width)
+    most_x = most_outflow(most * half_width[0] * per_x + abs(push_x), most)
+    most_y = most_outflow(most * half_width[1] * per_y + abs(push_y), most)
+    most_z = most_outflow(most * half_width[2] * per_z + abs(push_z), most)
     zero = splat(0.0)
     for n in range(0, slab_size, 8):
         store(scratch, through_x + n, zero)
