@@ -70,7 +70,7 @@ JOBS = {
     "drift": {
         "space": {"cells": [12], "boundary": {"x": "specular"}},
         "velocity": {"points": [8, 8, 8]},
-        "scheme": {"drift": "seventh-order"},
+        "scheme": {"drift": "seventh-order-positive"},
         "collision": GRANULAR,
         "initial": {"state": "wave", "density_amplitude": 0.3, "temperature_amplitude": 0.2, "mode": [0.5]},
         "time": {"end": 0.03},
