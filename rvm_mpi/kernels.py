@@ -28,8 +28,8 @@ import pickle
 import shutil
 import sys
 import time
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
 from functools import cache, cached_property, partial, update_wrapper
 from pathlib import Path
 from typing import IO, Any
@@ -39,14 +39,18 @@ import numba
 import numpy as np
 from llvmlite.binding import Linkage
 from numba import _dynfunc, njit
-from numba.core import types
+from numba.core import compiler_machinery, ssa, types
 from numba.core.caching import _Cache
+from numba.core.callconv import CPUCallConv
 from numba.core.cgutils import unpack_tuple
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import CompilerBase, CompileResult, DefaultPassBuilder
+from numba.core.compiler_lock import global_compiler_lock
 from numba.core.compiler_machinery import LoweringPass, register_pass
+from numba.core.postproc import PostProcessor
 from numba.core.registry import cpu_target
 from numba.core.serialize import dumps
+from numba.core.transforms import canonicalize_cfg
 from numba.core.typed_passes import NativeLowering
 from numba.extending import _Intrinsic, models, register_model
 
@@ -150,11 +154,15 @@ class Direct:
         self._compiled = compiled
         self._code: Callable[..., Any] | None = None
 
-    def __call__(self, *arguments: Any) -> Any:
-        """Run it."""
+    def prepare(self, *arguments: Any) -> Callable[..., Any]:
+        """Compile it for such arguments, or read it from disk, without running it."""
         if self._code is None:
             self._code = self._compiled.compile(tuple(map(numba.typeof, arguments)))
-        return self._code(*arguments)
+        return self._code
+
+    def __call__(self, *arguments: Any) -> Any:
+        """Run it."""
+        return self.prepare(*arguments)(*arguments)
 
 
 def _options(fused: bool) -> dict[str, Any]:
@@ -234,6 +242,23 @@ class _Typing(type(cpu_target.typing_context)):  # type: ignore[misc]
         return self.known[gv]
 
 
+class _Whole:
+    """Arguments as one value each: numba takes tuples and arrays to pieces and puts them together again."""
+
+    def __init__(self, manager: Any, kinds: Any) -> None:
+        self.argument_types = tuple(manager.lookup(kind).get_value_type() for kind in kinds)
+
+    def as_arguments(self, builder: Any, values: Any) -> Any:
+        return values
+
+    def from_arguments(self, builder: Any, values: Any) -> Any:
+        return values
+
+    def assign_names(self, values: Any, names: Any) -> None:
+        for value, name in zip(values, names, strict=True):
+            value.name = name
+
+
 class _Target(type(cpu_target.target_context)):  # type: ignore[misc]
     """numba's translation to LLVM's language, with sizes asked for once and elements of plain arrays made simple.
 
@@ -241,6 +266,10 @@ class _Target(type(cpu_target.target_context)):  # type: ignore[misc]
     """
 
     sizes: dict[str, int] = {}  # noqa: RUF012
+    cached_internal_func: dict[Any, Any] = {}  # noqa: RUF012
+
+    def get_arg_packer(self, fe_args: Any) -> Any:
+        return _Whole(self.data_model_manager, fe_args)
 
     def get_abi_sizeof(self, ty: Any) -> int:
         name = str(ty)
@@ -297,6 +326,31 @@ for _type in (_PartType, _Known):
     register_model(_type)(models.OpaqueModel)
 
 
+def _in_order(self: PostProcessor, emit_dels: bool = False, extend_lifetimes: bool = False) -> None:
+    """Blocks in order, without the lives of variables, which only generators and reference counts want."""
+    self.func_ir.blocks = canonicalize_cfg(self.func_ir.blocks)
+
+
+#: what takes the place of numba's own meanwhile, among it text for logs that is put together though nobody listens
+_BRIEF: list[tuple[Any, str, Any]] = [
+    (PostProcessor, "run", _in_order),
+    *((module, "pformat", id) for module in (ssa, compiler_machinery) if hasattr(module, "pformat")),
+]
+
+
+@contextmanager
+def _briefly() -> Iterator[None]:
+    """numba without what nobody reads of a kernel's compilation; who else compiles waits, and sees nothing of it."""
+    with global_compiler_lock, ExitStack() as undo:
+        if gc.isenabled():
+            gc.disable()  # of what a compilation makes next to nothing can be freed before its end
+            undo.callback(gc.enable)
+        for owner, name, brief in _BRIEF:
+            undo.callback(setattr, owner, name, getattr(owner, name))
+            setattr(owner, name, brief)
+        yield
+
+
 class _KernelCompiler(CompilerBase):
     library = _KernelLibrary
 
@@ -305,6 +359,7 @@ class _KernelCompiler(CompilerBase):
         target, typing = self.state.targetctx, copy.copy(typingctx)  # of this compilation alone
         target.__class__, typing.__class__ = _Target, _Typing
         self.state.typingctx = target.typing_context = typing
+        target.call_conv, target.cached_internal_func = CPUCallConv(target), _Target.cached_internal_func
 
     def define_pipelines(self) -> list[Any]:
         state = self.state
@@ -314,16 +369,12 @@ class _KernelCompiler(CompilerBase):
         passes.passes = [one for one in passes.passes if one[0].name() not in _NEEDLESS]
         self.extend(passes)
         passes.finalize()
+        passes._ENFORCING = False  # no checks of numba's own passes
         return [passes]
 
     def compile_extra(self, func: Any) -> Any:
-        collects = gc.isenabled()
-        gc.disable()  # of what a compilation makes next to nothing can be freed before its end
-        try:
+        with _briefly():
             return super().compile_extra(func)
-        finally:
-            if collects:
-                gc.enable()
 
     def extend(self, passes: Any) -> None:
         """Add to numba's passes."""

@@ -99,10 +99,12 @@ class Simulation:
         density, velocity, tensor = self._initial = self._initial_state(initial, restart)
         d = job.velocity.dimensions
         temperature = np.trace(tensor, axis1=-2, axis2=-1) / d
+        with_fluid = job.fluid.enabled or job.scaling.kind == "macroscopic"
+        self.fluid = FluidSystem(job, self.domain) if with_fluid else None
+        if self.fluid is not None and self.domain.rank % 2 == 1:
+            self.fluid.prepare()  # where no kernels are on disk, even ranks compile the stage's meanwhile
         self.kinetic = KineticStepper(job, self.domain, density, velocity, tensor)
-        self.fluid: FluidSystem | None = None
-        if job.fluid.enabled or job.scaling.kind == "macroscopic":
-            self.fluid = FluidSystem(job, self.domain)
+        if self.fluid is not None:
             self.fluid.set_state(density, velocity, temperature)
         self.time, self.number = 0.0, 0
         self.volume = math.prod(self.domain.spacing)

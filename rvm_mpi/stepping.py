@@ -223,8 +223,10 @@ class KineticStepper:
         self._operator = _operator(job, domain)
         self._source = np.zeros((ny, nx, self.grid.block)) if self._operator else np.zeros((0, 0, 0))
         self._heating, self._penalty = np.zeros((ny, nx)), np.zeros((ny, nx))
-        self._set(density, velocity, tensor)
         self.last = Sweep(False, self.g, self._other, self.now, self._middle)
+        if domain.rank % 2 == 0:
+            self._run_sweep.prepare(*self._sweep_arguments(0.0))  # odd ranks compile the other kernels meanwhile
+        self._set(density, velocity, tensor)
 
     def _cells(self) -> Cells:
         nx, ny = self.domain.local
@@ -507,7 +509,20 @@ class KineticStepper:
             if self.job.collision.penalise and not second:
                 self._set_penalty(dt)
             self._collide(g, begin)
-        self._run_sweep(
+        self._run_sweep(*self._sweep_arguments(dt))
+        local = self._diagnostics
+        rates = [float(self._rate_of_cells(share).max()) for share in DRIFT_SHARES]
+        cooling, status = float(local[..., stage.COOLING_RATE].max()), float(local[..., stage.STATUS].max())
+        if not (math.isfinite(rates[0]) and math.isfinite(cooling)):
+            status = max(status, float(stage.NOT_POSITIVE))
+        *self.rates, self.cooling_rate, worst = self.domain.maximum(*rates, cooling, status)
+        if worst > stage.HEALTHY:
+            self._fail(int(worst))
+
+    def _sweep_arguments(self, dt: float) -> tuple[Any, ...]:
+        """What `stage.sweep` takes for the stage that `last` says."""
+        second, g, out, begin, new = self.last
+        return (
             self.grid,
             self.space,
             self.model,
@@ -527,14 +542,6 @@ class KineticStepper:
             self._sides,
             self.work,
         )
-        local = self._diagnostics
-        rates = [float(self._rate_of_cells(share).max()) for share in DRIFT_SHARES]
-        cooling, status = float(local[..., stage.COOLING_RATE].max()), float(local[..., stage.STATUS].max())
-        if not (math.isfinite(rates[0]) and math.isfinite(cooling)):
-            status = max(status, float(stage.NOT_POSITIVE))
-        *self.rates, self.cooling_rate, worst = self.domain.maximum(*rates, cooling, status)
-        if worst > stage.HEALTHY:
-            self._fail(int(worst))
 
     def _rate_of_cells(self, share: float) -> np.ndarray:
         """Sum of max|a|/h over the directions of space and, times `share`, over those of velocity: (ny, nx)."""

@@ -502,6 +502,14 @@ class FluidSystem:
         """The state of this rank's cells, (ny, nx, d + 2), a view."""
         return self._interior
 
+    def prepare(self) -> None:
+        """Compile the kernels of a step, or read them from disk, before there is a state; no other rank takes part."""
+        self._cool(0.0)
+        for axis in range(self.directions):
+            self._sweep(axis, 0.0)
+            combine(self._interior, self._start, self._change, 1.0)
+        self._largest_rate()
+
     def set_state(self, density: np.ndarray, velocity: np.ndarray, temperature: np.ndarray) -> None:
         """Set the initial state; far fields without a state of their own keep it at their side from now on.
 
@@ -586,17 +594,20 @@ class FluidSystem:
         """Change of the state by its fluxes over dt, with its ghosts filled first."""
         self.fill_ghosts()
         for axis in range(self.directions):
-            lower, upper = (f"{'xy'[axis]}-{end}" for end in ("lower", "upper"))
-            sweep(
-                self.state,
-                self._change,
-                axis,
-                self.directions,
-                dt / self.domain.spacing[axis],
-                lower in self._sides and self._sides[lower].solid,
-                upper in self._sides and self._sides[upper].solid,
-                self._work,
-            )
+            self._sweep(axis, dt)
+
+    def _sweep(self, axis: int, dt: float) -> None:
+        lower, upper = (f"{'xy'[axis]}-{end}" for end in ("lower", "upper"))
+        sweep(
+            self.state,
+            self._change,
+            axis,
+            self.directions,
+            dt / self.domain.spacing[axis],
+            lower in self._sides and self._sides[lower].solid,
+            upper in self._sides and self._sides[upper].solid,
+            self._work,
+        )
 
     def _complaint(self, lost: tuple[int, int] | None, dt: float) -> PositivityLost:
         """What to say, the same on all ranks: it names the first cell of all."""
@@ -613,6 +624,9 @@ class FluidSystem:
     def max_rate(self) -> float:
         """Largest sum over directions of (|u_n| + c)/h, here and just outside; collective: fills ghosts."""
         self.fill_ghosts()
+        return self._largest_rate()
+
+    def _largest_rate(self) -> float:
         dx, dy = self.domain.spacing
         return float(
             largest_rate(
