@@ -267,11 +267,10 @@ def _step_lines(job: Job, ranks: int) -> Iterator[str]:
         yield _row("  later", f"up to {first.later:.4g}, when jumps of the initial state have smoothed out")
     number = estimates.steps(job)
     yield _row("steps", f"at least {number:.0f} to t = {job.time.end:g}, as far as the initial state tells")
-    seconds = estimates.run_seconds(job, ranks)
-    on = f"{ranks} {'core' if ranks == 1 else 'cores'}"
-    yield _row(
-        "run time", f"at least {estimates.duration_in_words(seconds)} on {on}; `rvm bench` measures yours"
-    )
+    triad = estimates.triad_seconds()
+    duration = estimates.duration_in_words(estimates.run_seconds(job, ranks, triad))
+    on = "a core" if ranks == 1 else f"{ranks} cores"
+    yield _row("run time", f"at least {duration} on {on} like this machine's (triad {1e9 * triad:.2f} ns an element)")
 
 
 def _physics_lines(job: Job) -> Iterator[str]:

@@ -9,6 +9,7 @@ import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import ceil, gamma, inf, isfinite, log1p, pi, prod, sqrt
+from time import perf_counter
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -23,8 +24,14 @@ if TYPE_CHECKING:
 
 LIBRARIES = 239e6
 """Bytes a process holds beside its arrays: Python, numba and kernels, PETSc, MPI, HDF5 (benchmarks/memory.py)."""
-SECONDS_PER_CELL = 8e-9
-"""Nominal time of one stage for one phase-space cell on one core; `rvm bench` measures a machine's own."""
+TRIAD_SIZE = 4_000_000
+"""Doubles of each of the three arrays that `triad_seconds` sums: more than a core's share of most caches."""
+STAGE_PER_TRIAD = ((4608, 3.5), (13824, 3.9), (32768, 4.5))
+"""Time of a stage for a phase-space cell over that of a triad's element, by velocities (benchmarks/stages.py)."""
+STAGE_WITH_DRIFT = {"van-leer": 1.0, "kappa": 1.55, "seventh-order": 1.55, "seventh-order-positive": 1.75}
+"""Time of a stage with each reconstruction of the drift over that with Van Leer's (benchmarks/drift_cost.py)."""
+STEP_PER_STAGES = 1.13
+"""Time of a step over that of its stages: halo, fluid, reductions, diagnostics (benchmarks/step_parts.py)."""
 SECONDS_PER_STEP = 2e-3
 """Nominal time of what a step costs whatever the grid: calls, reductions, a row of the history."""
 OPERATIONS_PER_PAIR = 10
@@ -461,10 +468,27 @@ def stretched_time(job: Job) -> Callable[[float], float]:
     return lambda time: log1p(haff * time) / haff
 
 
-def run_seconds(job: Job, ranks: int = 1, seconds_per_cell: float = SECONDS_PER_CELL) -> float:
-    """Wall-clock seconds of a run on so many cores at the least, from `steps` and nominal speeds."""
+def triad_seconds() -> float:
+    """Seconds that an element of the triad a = b + c takes on this machine's memory, measured: some 0.1 s."""
+    a, b, c = (np.ones(TRIAD_SIZE) for _ in range(3))
+    least = inf
+    for _ in range(5):
+        begin = perf_counter()
+        np.add(b, c, out=a)
+        least = min(least, perf_counter() - begin)
+    return least / TRIAD_SIZE
+
+
+def run_seconds(job: Job, ranks: int, triad: float) -> float:
+    """Wall-clock seconds of a run at the least, from `steps`, on so many cores with so fast a triad (`triad_seconds`).
+
+    The Boltzmann operator's speed is a nominal one.
+    """
+    velocities, ratios = zip(*STAGE_PER_TRIAD, strict=True)
+    ratio = float(np.interp(np.log(prod(job.velocity.points)), np.log(velocities), ratios))
+    ratio *= STAGE_WITH_DRIFT[job.scheme.drift] * STEP_PER_STAGES
     cells = prod(job.space.cells) * cell_block(job.velocity.points)
-    stage = cells * seconds_per_cell / ranks + operator_seconds(job, ranks)
+    stage = cells * ratio * triad / ranks + operator_seconds(job, ranks)
     return steps(job) * (STAGES * stage + SECONDS_PER_STEP)
 
 

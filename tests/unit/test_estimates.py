@@ -1,5 +1,6 @@
 """Estimates before a run, against direct computation and closed formulas."""
 
+import time
 from math import ceil, inf, pi, sqrt
 
 import numpy as np
@@ -7,9 +8,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rvm_mpi import estimates
+from rvm_mpi import bench, estimates
 from rvm_mpi.collisions.boltzmann_weights import Rows
+from rvm_mpi.domain import aligned
 from rvm_mpi.job import Job, JobError
+from rvm_mpi.kinetic import drift
 
 
 def make(initial=None, cells=(64, 64), points=(24, 24, 8), half_width=7.0, collision=None, **tables):
@@ -198,14 +201,36 @@ def test_steps_of_a_cooling_gas_follow_haffs_law():
     assert estimates.steps(make(collision=ELASTIC, cells=(64,))) == pytest.approx(30 * 7 * 64 / 0.5)
 
 
+def stages_of(job, cells, ratio):
+    """Seconds of ten steps of two stages on two cores with a triad of 1 ns, `ratio` times that a phase-space cell."""
+    return 10 * (estimates.SECONDS_PER_STEP + 2 * cells * ratio * estimates.STEP_PER_STAGES * 1e-9 / 2)
+
+
 def test_run_time_counts_cells_stages_and_ranks():
     job = make(cells=(64,), time={"max_steps": 10})
-    cells = 64 * 24 * 24 * 8
-    fixed = 10 * estimates.SECONDS_PER_STEP
-    assert estimates.run_seconds(job, 2, 1e-9) == pytest.approx(fixed + 10 * estimates.STAGES * cells * 1e-9 / 2)
+    assert estimates.run_seconds(job, 2, 1e-9) == pytest.approx(stages_of(job, 64 * 24 * 24 * 8, 3.5))
+    large = make(cells=(64,), points=(32, 32, 32), time={"max_steps": 10})
+    assert estimates.run_seconds(large, 2, 1e-9) == pytest.approx(stages_of(large, 64 * 32**3, 4.5))
     line = make(cells=(64,), points=(24,), time={"max_steps": 10}, collision={"operator": "none"})
     # in one velocity dimension a node takes the room of eight
-    assert estimates.run_seconds(line, 1, 1e-9) == pytest.approx(fixed + 10 * estimates.STAGES * 64 * 24 * 8 * 1e-9)
+    assert estimates.run_seconds(line, 2, 1e-9) == pytest.approx(stages_of(line, 64 * 24 * 8, 3.5))
+    positive = make(cells=(64,), time={"max_steps": 10}, scheme={"drift": "seventh-order-positive"})
+    assert estimates.run_seconds(positive, 2, 1e-9) == pytest.approx(stages_of(positive, 64 * 24 * 24 * 8, 3.5 * 1.75))
+
+
+def test_every_reconstruction_has_a_cost():
+    assert set(estimates.STAGE_WITH_DRIFT) == {"van-leer", *drift.ORDERS}
+
+
+def test_the_triad_is_that_of_bench():
+    """The same traffic: ten times more or less would be another unit or another loop, whatever the day."""
+    arrays = [aligned((bench.TRIAD_SIZE,)) for _ in range(3)]
+    times = []
+    for _ in range(5):
+        begin = time.perf_counter()
+        bench._triad(*arrays, 2.0)
+        times.append((time.perf_counter() - begin) / bench.TRIAD_SIZE)
+    assert 0.1 < estimates.triad_seconds() / min(times) < 10
 
 
 def pairs_of_modes(largest):
@@ -224,7 +249,7 @@ def test_run_time_of_the_boltzmann_operator(cells, ranks, counted):
     job = make(cells=cells, points=(10, 10), half_width=7, collision=boltzmann, time={"max_steps": 1})
     work = 10 * pairs_of_modes(4) / estimates.OPERATIONS_PER_SECOND + 100 * estimates.SECONDS_PER_NODE
     assert estimates.operator_seconds(job, ranks) == pytest.approx(counted * work)
-    rest = estimates.SECONDS_PER_STEP + 2 * int(np.prod(cells)) * 10 * 16 * 1e-9 / ranks
+    rest = estimates.SECONDS_PER_STEP + 2 * int(np.prod(cells)) * 10 * 16 * 3.5e-9 * estimates.STEP_PER_STAGES / ranks
     assert estimates.run_seconds(job, ranks, 1e-9) == pytest.approx(2 * counted * work + rest)
     assert estimates.operator_seconds(make(), 1) == 0
 
