@@ -238,7 +238,7 @@ class Network:
 class Cluster:
     """Nodes of so many ranks each, with one link a node: seconds and bytes a second.
 
-    A node's ranks follow each other along x, as a DMDA numbers them; `square` puts them in a square.
+    A node's ranks follow each other along x, as a DMDA numbers them; `square` puts them in a square (`placement.py`).
     """
 
     ranks: int

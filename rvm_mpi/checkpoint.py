@@ -159,16 +159,18 @@ def flush_to_disk(path: Path) -> None:
 @contextlib.contextmanager
 def agreed(domain: Domain, path: Path) -> Iterator[None]:
     """All ranks do something; if any of them fails, all raise DiskFailure with the same line."""
+    from mpi4py import MPI
+
     error: Exception | None = None
     try:
         yield
     except Exception as caught:  # whatever it is, the other ranks must hear of it
         error = caught
-    told = domain.comm.allgather(None if error is None else _one_line(error))
-    failed = next((rank for rank, line in enumerate(told) if line is not None), None)
+    told = domain.comm.allgather(None if error is None else (MPI.COMM_WORLD.Get_rank(), _one_line(error)))
+    failed = min((one for one in told if one is not None), default=None)
     if failed is not None:
-        who = f" (rank {failed})" if domain.size > 1 else ""
-        raise DiskFailure(f"{path} cannot be written: {told[failed]}{who}") from error
+        who = f" (rank {failed[0]})" if domain.size > 1 else ""
+        raise DiskFailure(f"{path} cannot be written: {failed[1]}{who}") from error
 
 
 def _one_line(error: Exception) -> str:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from rvm_mpi import placement
 from rvm_mpi.job import JobError
 
 if TYPE_CHECKING:
@@ -87,6 +88,14 @@ def _splits(nx: int, ny: int, ranks: int) -> Iterator[tuple[int, int]]:
             yield px, py
 
 
+def _placed(comm: Any, split: tuple[int, int], cells: tuple[int, int]) -> Any:
+    """The same ranks, numbered so that those of a node are neighbours; collective."""
+    if comm.Get_size() == 1:
+        return comm
+    numbers = placement.places(split, cells, placement.nodes(comm))
+    return comm if numbers == sorted(numbers) else comm.Split(0, numbers[comm.Get_rank()])
+
+
 @dataclass(frozen=True)
 class _Neighbour:
     """One side across which ghost cells travel: axis 0 is y, 1 is x; end 0 the lower, 1 the upper."""
@@ -105,7 +114,7 @@ class Domain:
     Attributes
     ----------
     comm : mpi4py.MPI.Comm
-        The communicator; rank and size are its.
+        The communicator, its ranks numbered along x first (`placement.py`); rank and size are its.
     cells : tuple of int
         (nx, ny) of the whole domain, 1 in an unused direction.
     dimensions : int
@@ -120,8 +129,8 @@ class Domain:
         from mpi4py import MPI
         from petsc4py import PETSc
 
-        self.comm = MPI.COMM_WORLD if comm is None else comm
-        self.rank, self.size = self.comm.Get_rank(), self.comm.Get_size()
+        given = MPI.COMM_WORLD if comm is None else comm
+        self.size, self._launched = given.Get_size(), given.Get_rank()
         cells = tuple(job.space.cells)
         self.dimensions = len(cells)
         nx, ny = (*cells, 1, 1)[:2]
@@ -130,6 +139,8 @@ class Domain:
         self.spacing = (dx, dy)
         self._lower = tuple(job.space.lower)
         px, py = partition(cells, self.size)
+        self.comm = _placed(given, (px, py), (-(-nx // px), -(-ny // py)))
+        self.rank = self.comm.Get_rank()
         self._sides = dict(job.space.sides)
         periodic = [self._sides[f"{axis}-lower"].kind == "periodic" for axis in "xy"[: self.dimensions]]
         periodic += [False] * (2 - len(periodic))
@@ -179,9 +190,9 @@ class Domain:
         return (width if self.dimensions == 2 else 0), (width if self.dimensions >= 1 else 0)
 
     def owner(self, cell: tuple[int, int]) -> int:
-        """The rank that has the global cell (i, j); collective."""
+        """The rank, as launched, that has the global cell (i, j); collective."""
         mine = all(first <= k < first + n for k, first, n in zip(cell, self.start, self.local))
-        return int(self.maximum(float(self.rank if mine else -1))[0])
+        return int(self.maximum(float(self._launched if mine else -1))[0])
 
     def centre(self, cell: tuple[int, int]) -> tuple[float, ...]:
         """Position of the centre of the global cell (i, j), one number per space dimension."""

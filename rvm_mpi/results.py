@@ -270,11 +270,13 @@ class FieldsFile:
 
     def _agree(self, error: Exception | None, what: str):
         """Raise on every rank if any rank has an error."""
-        ranks = self.comm.allgather(None if error is None else _one_line(error))
-        failed = [rank for rank, message in enumerate(ranks) if message is not None]
-        if failed:
+        from mpi4py import MPI
+
+        told = self.comm.allgather(None if error is None else (MPI.COMM_WORLD.Get_rank(), _one_line(error)))
+        failed = min((one for one in told if one is not None), default=None)
+        if failed is not None:
             who = f" (rank {failed[0]})" if self.comm.size > 1 else ""
-            raise DiskFailure(f"{self.path} cannot {what}: {ranks[failed[0]]}{who}") from error
+            raise DiskFailure(f"{self.path} cannot {what}: {failed[1]}{who}") from error
 
 
 def _one_line(error: Exception) -> str:
