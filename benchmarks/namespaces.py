@@ -1,9 +1,10 @@
-"""A slow network on one machine: every rank in a network namespace of its own (root, Linux, Open MPI).
+"""A slow network on one machine: nodes that are network namespaces (root, Linux, Open MPI).
 
-    .venv/bin/python benchmarks/namespaces.py --rate 1gbit RANKS COMMAND...
+    .venv/bin/python benchmarks/namespaces.py [--rate 1gbit] [--each 1] RANKS COMMAND...
 
-runs `mpirun -n RANKS COMMAND...` over TCP alone, each rank's outgoing link limited by `tc` to the rate; namespaces and
-bridge are removed in the end. More ranks than cores yield while they wait.
+runs `mpirun -n RANKS COMMAND...` with so many ranks in each namespace, over TCP between namespaces and shared memory
+within; a namespace's outgoing link is limited by `tc` to the rate. Namespaces and bridge are removed in the end. More
+ranks than cores yield while they wait.
 """
 
 import argparse
@@ -21,7 +22,7 @@ def ip(*words, check=True):
 
 
 def add(number, rate):
-    """Namespace, link and address of one rank."""
+    """Namespace, link and address of one node."""
     space = f"{NAME}{number}"
     ip("netns", "add", space)
     ip("link", "add", f"{space}h", "type", "veth", "peer", "name", f"{space}n")
@@ -34,14 +35,14 @@ def add(number, rate):
     subprocess.run(["ip", "netns", "exec", space, "tc", "qdisc", "add", "dev", f"{space}n", *limit], check=True)
 
 
-def run(ranks, command):
-    hosts = ",".join(f"{SUBNET}.{number + 1}:1" for number in range(ranks))
+def run(ranks, each, command):
+    hosts = ",".join(f"{SUBNET}.{number + 1}:{each}" for number in range(ranks // each))
     with tempfile.NamedTemporaryFile("w", suffix=".sh", delete=False) as agent:
-        agent.write(f'#!/bin/sh\nn=$((${{1##*.}} - 1)); shift\nexec ip netns exec {NAME}$n sh -c "$*"\n')
+        agent.write(f'#!/bin/sh\nn=$((${{1##*.}} - 1)); shift\nexec ip netns exec {NAME}$n unshare --uts sh -c "hostname {NAME}$n; $*"\n')
     Path(agent.name).chmod(0o700)
     parameters = {
         "plm_rsh_agent": agent.name,
-        "btl": "tcp,self",
+        "btl": "tcp,self" if each == 1 else "tcp,self,vader",
         "btl_tcp_if_include": f"{SUBNET}.0/24",
         "oob_tcp_if_include": f"{SUBNET}.0/24",
         "plm_rsh_no_tree_spawn": "1",  # agents of agents would have to enter namespaces from within one
@@ -59,16 +60,20 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("ranks", type=int)
     parser.add_argument("--rate", default="1gbit")
+    parser.add_argument("--each", type=int, default=1, help="ranks of a namespace")
     parser.add_argument("command", nargs=argparse.REMAINDER)
     arguments = parser.parse_args()
+    nodes, left = divmod(arguments.ranks, arguments.each)
+    if left:
+        parser.error(f"{arguments.ranks} ranks are no whole nodes of {arguments.each}")
     try:
         ip("link", "add", NAME, "type", "bridge")
         ip("link", "set", NAME, "up")
-        for number in range(arguments.ranks):
+        for number in range(nodes):
             add(number, arguments.rate)
-        return run(arguments.ranks, arguments.command)
+        return run(arguments.ranks, arguments.each, arguments.command)
     finally:
-        for number in range(arguments.ranks):
+        for number in range(nodes):
             ip("netns", "delete", f"{NAME}{number}", check=False)
         ip("link", "delete", NAME, check=False)
 

@@ -5,7 +5,7 @@
 
 `measure` runs the loop of `rvm run` and adds a line of JSON to FILE: seconds of a step and of its parts, what was sent
 and reduced, and the seconds of the same messages and reductions one after the other without any work between them.
-`--split PX PY` forces a decomposition, `--network NAME` says what lies between the ranks (benchmarks/namespaces.py
+`--split PX PY` forces a decomposition, `--as-launched` leaves the ranks of a node in a row, `--network NAME` says what lies between the ranks (benchmarks/namespaces.py
 makes a slow one). Lines of one case are merged by the least of every figure, so that other work on the machine spoils
 none if a case is measured often enough. `model` fits speeds and latencies to the lines of one and two ranks, sets what
 they make of every line beside what was measured, and goes on to a cluster. docs/scaling.md has the formulas.
@@ -107,7 +107,7 @@ def watched_run(job: dict, log: Log):
     folder = tempfile.TemporaryDirectory() if comm.rank == 0 else None
     output = Path(comm.bcast(folder.name if folder else None)) / "run"
     with Control(output) as control, Run(sim, output, restart=False, overwrite=False, quiet=True) as run:
-        sim.domain.comm = Watched(comm)  # no sooner: PETSc takes nothing but mpi4py's own class
+        sim.domain.comm = Watched(sim.domain.comm)  # no sooner: PETSc takes nothing but mpi4py's own class
         run.go(control)
     comm.Barrier()
     if folder:
@@ -153,10 +153,13 @@ def measure(arguments: argparse.Namespace) -> None:
     from mpi4py import MPI
 
     from rvm_mpi import domain as domain_module
+    from rvm_mpi import placement
 
     comm = MPI.COMM_WORLD
     if arguments.split:
         domain_module.partition = lambda *_: tuple(arguments.split)
+    if arguments.as_launched:
+        placement.places = lambda _split, _cells, node_of: list(range(len(node_of)))
     log = Log()
     sim = watched_run(job_of(arguments.cells, arguments.velocity, arguments.steps), log)
     least = {name: min(step.get(name, 0.0) for step in log.steps[1:]) for name in log.steps[-1]}
@@ -482,6 +485,7 @@ def main() -> None:
     first.add_argument("--cells", type=int, nargs="+", default=[64, 64])
     first.add_argument("--velocity", type=int, nargs="+", default=[24, 24, 8])
     first.add_argument("--split", type=int, nargs=2)
+    first.add_argument("--as-launched", action="store_true", help="ranks along x first, as they are numbered")
     first.add_argument("--steps", type=int, default=12)
     first.add_argument("--network", default=SHARED)
     first.set_defaults(action=measure)
