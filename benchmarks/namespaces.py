@@ -38,7 +38,9 @@ def add(number, rate):
 def run(ranks, each, command):
     hosts = ",".join(f"{SUBNET}.{number + 1}:{each}" for number in range(ranks // each))
     with tempfile.NamedTemporaryFile("w", suffix=".sh", delete=False) as agent:
-        agent.write(f'#!/bin/sh\nn=$((${{1##*.}} - 1)); shift\nexec ip netns exec {NAME}$n unshare --uts sh -c "hostname {NAME}$n; $*"\n')
+        # a host name of its own, by which Open MPI tells nodes
+        enter = f'exec ip netns exec {NAME}$n unshare --uts sh -c "hostname {NAME}$n; $*"'
+        agent.write(f"#!/bin/sh\nn=$((${{1##*.}} - 1)); shift\n{enter}\n")
     Path(agent.name).chmod(0o700)
     parameters = {
         "plm_rsh_agent": agent.name,

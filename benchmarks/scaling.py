@@ -5,10 +5,11 @@
 
 `measure` runs the loop of `rvm run` and adds a line of JSON to FILE: seconds of a step and of its parts, what was sent
 and reduced, and the seconds of the same messages and reductions one after the other without any work between them.
-`--split PX PY` forces a decomposition, `--as-launched` leaves the ranks of a node in a row, `--network NAME` says what lies between the ranks (benchmarks/namespaces.py
-makes a slow one). Lines of one case are merged by the least of every figure, so that other work on the machine spoils
-none if a case is measured often enough. `model` fits speeds and latencies to the lines of one and two ranks, sets what
-they make of every line beside what was measured, and goes on to a cluster. docs/scaling.md has the formulas.
+`--split PX PY` forces a decomposition, `--as-launched` leaves the ranks of a node in a row, `--network NAME` says what
+lies between the ranks (benchmarks/namespaces.py makes a slow one). Lines of one case are merged by the least of every
+figure, so that other work on the machine spoils none if a case is measured often enough. `model` fits speeds and
+latencies to the lines of one and two ranks, sets what they make of every line beside what was measured, and goes on to
+a cluster. docs/scaling.md has the formulas.
 """
 
 from __future__ import annotations
