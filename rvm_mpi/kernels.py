@@ -39,7 +39,7 @@ import numba
 import numpy as np
 from llvmlite.binding import Linkage
 from numba import _dynfunc, njit
-from numba.core import compiler_machinery, ssa, types
+from numba.core import compiler_machinery, interpreter, ssa, types
 from numba.core.caching import _Cache
 from numba.core.callconv import CPUCallConv
 from numba.core.cgutils import unpack_tuple
@@ -47,6 +47,7 @@ from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import CompilerBase, CompileResult, DefaultPassBuilder
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.compiler_machinery import LoweringPass, register_pass
+from numba.core.ir import FunctionIR
 from numba.core.postproc import PostProcessor
 from numba.core.registry import cpu_target
 from numba.core.serialize import dumps
@@ -334,6 +335,8 @@ def _in_order(self: PostProcessor, emit_dels: bool = False, extend_lifetimes: bo
 #: what takes the place of numba's own meanwhile, among it text for logs that is put together though nobody listens
 _BRIEF: list[tuple[Any, str, Any]] = [
     (PostProcessor, "run", _in_order),
+    (FunctionIR, "dump_to_string", lambda _: ""),
+    (interpreter, "peep_hole_delete_with_exit", lambda func_ir: func_ir),  # of `with` blocks
     *((module, "pformat", id) for module in (ssa, compiler_machinery) if hasattr(module, "pformat")),
 ]
 
