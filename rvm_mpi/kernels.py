@@ -42,7 +42,7 @@ from numba import _dynfunc, njit
 from numba.core import compiler_machinery, interpreter, ssa, types
 from numba.core.caching import _Cache
 from numba.core.callconv import CPUCallConv
-from numba.core.cgutils import unpack_tuple
+from numba.core.cgutils import pack_array, unpack_tuple
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import CompilerBase, CompileResult, DefaultPassBuilder
 from numba.core.compiler_lock import global_compiler_lock
@@ -250,7 +250,10 @@ class _Whole:
         self.argument_types = tuple(manager.lookup(kind).get_value_type() for kind in kinds)
 
     def as_arguments(self, builder: Any, values: Any) -> Any:
-        return values
+        return [
+            value if value.type == kind else pack_array(builder, unpack_tuple(builder, value))
+            for value, kind in zip(values, self.argument_types, strict=True)  # any number of them is a tuple to numba
+        ]
 
     def from_arguments(self, builder: Any, values: Any) -> Any:
         return values
@@ -268,6 +271,7 @@ class _Target(type(cpu_target.target_context)):  # type: ignore[misc]
 
     sizes: dict[str, int] = {}  # noqa: RUF012
     cached_internal_func: dict[Any, Any] = {}  # noqa: RUF012
+    call_conv = property(CPUCallConv)
 
     def get_arg_packer(self, fe_args: Any) -> Any:
         return _Whole(self.data_model_manager, fe_args)
@@ -362,7 +366,7 @@ class _KernelCompiler(CompilerBase):
         target, typing = self.state.targetctx, copy.copy(typingctx)  # of this compilation alone
         target.__class__, typing.__class__ = _Target, _Typing
         self.state.typingctx = target.typing_context = typing
-        target.call_conv, target.cached_internal_func = CPUCallConv(target), _Target.cached_internal_func
+        target.cached_internal_func = _Target.cached_internal_func
 
     def define_pipelines(self) -> list[Any]:
         state = self.state
