@@ -290,7 +290,8 @@ def take_substeps(g, old, cell, grid, rates, second, weight_new, gaussian, dt, s
     current = start
     for substep in range(substeps + 1):
         last = substep == substeps
-        weight_start, weight = (1.0 / (substeps + 1), substeps / (substeps + 1)) if last else (0.0, 1.0)
+        weight = substeps / (substeps + 1) if last else 1.0
+        weight_start = 1.0 - weight  # one together, to the last bit: no mass is lost
         here = target[at : at + block]
         for n in range(0, block, 8):
             store(here, n, splat(0.0))
