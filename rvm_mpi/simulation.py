@@ -10,7 +10,6 @@ is one time step each; `run_job` is the same loop with a run directory around it
 from __future__ import annotations
 
 import math
-import os
 import shlex
 import sys
 import time as clock
@@ -27,6 +26,7 @@ from rvm_mpi.control import Control
 from rvm_mpi.domain import Domain
 from rvm_mpi.estimates import stretched_time
 from rvm_mpi.exact_sum import exact_sums
+from rvm_mpi.failures import launched_rank
 from rvm_mpi.fluid import FluidSystem
 from rvm_mpi.fluid.euler import PositivityLost
 from rvm_mpi.job import Job, JobError
@@ -484,8 +484,8 @@ def run_job(
         On every rank, before anything is written.
     """
     rundir.check(output, restart, overwrite)
-    if not quiet and os.environ.get("OMPI_COMM_WORLD_RANK", "0") == "0" and not _compiled_before():
-        print("compiling the kernels, kept for the next run: ten seconds or so", file=sys.stderr, flush=True)
+    if not quiet and launched_rank() == 0 and not _compiled_before():
+        print("compiling the kernels, kept for the next run: some seconds", file=sys.stderr, flush=True)
     with Control(output, walltime, job.output.checkpoint_every) as control:
         simulation, lines = _resumed(job, output) if restart else (Simulation(job), [])
         try:
