@@ -3,7 +3,7 @@
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
-jobs/run.sh test3_macroscopic test3_macroscopic # a step as short as 1e-5: some minutes
+jobs/run.sh test3_macroscopic test3_macroscopic
 jobs/run.sh test3_classical test3_classical
 jobs/run.sh test3_kinetic test3_kinetic
 jobs/run.sh test3_kinetic_150 test3_kinetic --set 'space.cells=[150]'

@@ -337,9 +337,11 @@ def first_step(job: Job) -> FirstStep:
     drift *= sum(per_spacing)
     growth = _growth(job, start) * sum(per_spacing)
     drift += growth
-    drag = np.zeros(start.omega.shape)
+    drag, answering = np.zeros(start.omega.shape), np.zeros(start.omega.shape)
     haff = job.collision.cooling * start.density * np.sqrt(start.temperature)
-    if job.scaling.kind == "none":
+    if job.collision.operator == "boltzmann" and job.scaling.kind != "none":
+        answering = haff * sum(per_spacing)  # by d_t omega, which no drag cancels: never in substeps (stepping.py)
+    if job.scaling.kind == "none" and job.collision.operator != "boltzmann":
         for axis, h in enumerate(velocity.spacing):
             drag += haff * (velocity.half_width[axis] + np.abs(start.velocity[..., axis])) / h
         drift += drag
@@ -354,18 +356,20 @@ def first_step(job: Job) -> FirstStep:
         limits = {"time.dt": job.time.dt}
         later = job.time.dt
     else:
-        rates = [float((transport + share * drift).max()) for share in DRIFT_SHARES]
+        drift += answering
+        rates = [float((transport + answering + share * (drift - answering)).max()) for share in DRIFT_SHARES]
         substeps = [drift_substeps(transport, drift, rate) for rate in rates]
         chosen = cheapest_share(rates, substeps, drift.size)
         rate, share = rates[chosen], DRIFT_SHARES[chosen]
-        worst = np.unravel_index(np.argmax(transport + share * drift), drift.shape)
-        mostly = "transport in space" if transport[worst] >= share * drift[worst] else "drift in velocity"
+        counted = answering + share * (drift - answering)
+        worst = np.unravel_index(np.argmax(transport + counted), drift.shape)
+        mostly = "transport in space" if transport[worst] >= counted[worst] else "drift in velocity"
         limits[f"time.cfl, mostly {mostly}"] = job.time.cfl / rate if rate > 0 else inf
         limits["cooling (a tenth of the energy a step)"] = 0.1 / cooling if cooling > 0 else inf
         limits["collisions, taken explicitly"] = 1 / collisions if collisions > 0 else inf
         if job.fluid.enabled:
             limits["the fluid system's waves"] = 0.5 / fluid if fluid > 0 else inf
-        lasting = float((transport + share * drag).max())
+        lasting = float((transport + answering + share * drag).max())
         later = min(job.time.cfl / lasting if lasting > 0 else inf, *list(limits.values())[2:], job.time.end)
     limit = min(limits, key=limits.__getitem__)
     return FirstStep(
