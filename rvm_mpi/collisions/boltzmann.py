@@ -311,8 +311,10 @@ class BoltzmannOperator:
         options = {"axes": axes, "flags": ("FFTW_ESTIMATE", "FFTW_DESTROY_INPUT"), "threads": 1}
         length = prod(2 * m + 1 for m in self.rows.modes) * LANES
         mirror, same = block_kind(self.rows.keys)
+        unused = (slice(None), *(np.newaxis,) * (3 - len(self.points)))
         return {
             "shape": shape,
+            "all_axes": {1: (np.newaxis, *unused), 2: (slice(None), *unused)},
             "lanes": lanes.reshape(-1),
             "spectra": spectra.reshape(-1).view(np.float64),
             "forward": [pyfftw.FFTW(*pair, direction="FFTW_FORWARD", **options) for pair in zip(lanes, spectra)],
@@ -353,12 +355,10 @@ class BoltzmannOperator:
         if not (points == self.points and 1 <= len(cells) <= 2 and out.shape == g.shape and factor.shape == cells):
             wanted = ", ".join(map(str, self.points))
             raise ValueError(f"collide: {g.shape}, {out.shape} and {factor.shape}, wanted (cells, {wanted})")
-        if len(cells) == 1:
-            g, out, factor = g[np.newaxis], out[np.newaxis], factor[np.newaxis]
-        unused = (slice(None), slice(None), *(np.newaxis,) * (3 - len(self.points)))
-        g, out = g[unused], out[unused]
         work, rows = self._work, self.rows
-        forward, backward, places = work["forward"], work["backward"], work["places"]
+        forward, backward, places, all_axes = work["forward"], work["backward"], work["places"], work["all_axes"]
+        g, out = g[all_axes[len(cells)]], out[all_axes[len(cells)]]
+        factor = factor.reshape(g.shape[:2])
         for first in range(0, factor.size, len(forward) * LANES):
             groups = min(len(forward), -((first - factor.size) // LANES))
             to_lanes(g, first, groups, places, work["lanes"])
