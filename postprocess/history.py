@@ -158,23 +158,28 @@ def _density(run, history):
     later = time[time > 0]
     wide = len(later) > 1 and later[-1] > 20 * later[0]
     shown = time > 0 if wide else slice(None)
+    steps = history["time"] >= (later[0] if wide else 0)
+
+    def draw(axis, model, values, column, label):
+        """The history of every step with the snapshots as points, or these alone."""
+        style = common.KINETIC if model == "kinetic" else common.FLUID
+        if _is_there(history, column):
+            axis.plot(history["time"][steps], history[column][steps], **style, label=label)
+            style = {"color": style["color"], "ls": ""}
+            label = None
+        axis.plot(time[shown], values[shown], **style, marker="o", ms=3, label=label)
+
     for model in common.models(run):
-        style = {**(common.KINETIC if model == "kinetic" else common.FLUID), "marker": "o", "ms": 3}
-        column = "density_variance" if model == "kinetic" else "fluid_density_variance"
-        if _is_there(history, column):  # at every step, with the snapshots as points
-            steps = history["time"] >= (later[0] if wide else 0)
-            line = {**style, "marker": ""}
-            left.plot(history["time"][steps], history[column][steps], **line, label=model)
-            left.plot(time[shown], variance(run, model)[shown], "o", ms=3, color=style["color"])
-        else:
-            left.plot(time[shown], variance(run, model)[shown], **style, label=model)
+        prefix = "" if model == "kinetic" else "fluid_"
+        draw(left, model, variance(run, model), f"{prefix}density_variance", model)
         values = deviation(run, model)
         fit = damping_rate(time, values)
         label = model
         if fit is not None:
             label += f", rate {fit[0]:.3g} in $\\log t$"
-            right.plot(*fit[1:], color=style["color"], ls=":", lw=1)
-        right.plot(time[shown], values[shown], **style, label=label)
+            color = (common.KINETIC if model == "kinetic" else common.FLUID)["color"]
+            right.plot(*fit[1:], color=color, ls=":", lw=1)
+        draw(right, model, values, f"{prefix}density_deviation", label)
     if wide:
         for axis, measure in ((left, variance), (right, deviation)):
             axis.axhline(measure(run, "kinetic")[0], color="grey", lw=0.7, ls=":", label="kinetic at $t = 0$")
