@@ -341,6 +341,7 @@ def first_step(job: Job) -> FirstStep:
     haff = job.collision.cooling * start.density * np.sqrt(start.temperature)
     if job.collision.operator == "boltzmann" and job.scaling.kind != "none":
         answering = haff * sum(per_spacing)  # by d_t omega, which no drag cancels: never in substeps (stepping.py)
+        drift += answering
     if job.scaling.kind == "none" and job.collision.operator != "boltzmann":
         for axis, h in enumerate(velocity.spacing):
             drag += haff * (velocity.half_width[axis] + np.abs(start.velocity[..., axis])) / h
@@ -356,7 +357,6 @@ def first_step(job: Job) -> FirstStep:
         limits = {"time.dt": job.time.dt}
         later = job.time.dt
     else:
-        drift += answering
         rates = [float((transport + answering + share * (drift - answering)).max()) for share in DRIFT_SHARES]
         substeps = [drift_substeps(transport, drift, rate) for rate in rates]
         chosen = cheapest_share(rates, substeps, drift.size)
