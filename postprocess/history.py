@@ -160,9 +160,8 @@ def _density(run, history):
     shown = time > 0 if wide else slice(None)
     steps = history["time"] >= (later[0] if wide else 0)
 
-    def draw(axis, model, values, column, label):
+    def draw(axis, style, values, column, label):
         """The history of every step with the snapshots as points, or these alone."""
-        style = common.KINETIC if model == "kinetic" else common.FLUID
         if _is_there(history, column):
             axis.plot(history["time"][steps], history[column][steps], **style, label=label)
             style = {"color": style["color"], "ls": ""}
@@ -170,16 +169,15 @@ def _density(run, history):
         axis.plot(time[shown], values[shown], **style, marker="o", ms=3, label=label)
 
     for model in common.models(run):
-        prefix = "" if model == "kinetic" else "fluid_"
-        draw(left, model, variance(run, model), f"{prefix}density_variance", model)
+        prefix, style = ("", common.KINETIC) if model == "kinetic" else ("fluid_", common.FLUID)
+        draw(left, style, variance(run, model), f"{prefix}density_variance", model)
         values = deviation(run, model)
         fit = damping_rate(time, values)
         label = model
         if fit is not None:
             label += f", rate {fit[0]:.3g} in $\\log t$"
-            color = (common.KINETIC if model == "kinetic" else common.FLUID)["color"]
-            right.plot(*fit[1:], color=color, ls=":", lw=1)
-        draw(right, model, values, f"{prefix}density_deviation", label)
+            right.plot(*fit[1:], color=style["color"], ls=":", lw=1)
+        draw(right, style, values, f"{prefix}density_deviation", label)
     if wide:
         for axis, measure in ((left, variance), (right, deviation)):
             axis.axhline(measure(run, "kinetic")[0], color="grey", lw=0.7, ls=":", label="kinetic at $t = 0$")
