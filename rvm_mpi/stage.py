@@ -100,6 +100,17 @@ class Cells(NamedTuple):
     sums: np.ndarray
 
 
+class Sides(NamedTuple):
+    """Rates of mass, momentum and energy through the outermost faces: x lower, x upper, y lower, y upper.
+
+    Each an array (n, 5), counted along +x and +y, per area of face times 1/dx or 1/dy. `through` is what a stage finds
+    and leaves; `beyond` is the part of it that no ghost cell's g says (`walls.py`), zero at sides between ranks.
+    """
+
+    through: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+    beyond: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+
+
 def kernel_grid(grid: VelocityGrid, reconstruction: str = "van-leer") -> Grid:
     """The grid's numbers and arrays, and the drift's reconstruction by its name, as the kernels take them."""
     y = grid.slab[Y, : grid.slab_points]
@@ -395,13 +406,17 @@ def net_rates(weight, space, sides, j, i, v, south_moments):  # type: ignore[no-
         unit = weight if q < 4 else 0.5 * weight
         lower_x, upper_x, lower_y, upper_y = unit * west[q], unit * east[q], unit * south[q], unit * north[q]
         if i == 0:
-            sides[0][j, q] = lower_x
+            lower_x += sides.beyond[0][j, q]
+            sides.through[0][j, q] = lower_x
         if i == space.nx - 1:
-            sides[1][j, q] = upper_x
+            upper_x += sides.beyond[1][j, q]
+            sides.through[1][j, q] = upper_x
         if j == 0:
-            sides[2][i, q] = lower_y
+            lower_y += sides.beyond[2][i, q]
+            sides.through[2][i, q] = lower_y
         if j == space.ny - 1:
-            sides[3][i, q] = upper_y
+            upper_y += sides.beyond[3][i, q]
+            sides.through[3][i, q] = upper_y
         west[q], south[q] = east[q], north[q]
         rate[q] = (lower_x - upper_x) + (lower_y - upper_y)
 
@@ -820,9 +835,8 @@ def sweep(  # type: ignore[no-untyped-def]
         None where there is none: what it needs is then not even compiled.
     diagnostics : (ny, nx, DIAGNOSTICS) array
         Receives the columns named at the top of this module.
-    sides : tuple of four (n, 5) arrays
-        Receive the rates of mass, momentum and energy through the outermost faces (x lower, x upper, y lower, y upper),
-        counted along +x and +y, per area of face times 1/dx or 1/dy.
+    sides : Sides
+        Its `through` receives the rates through the outermost faces, `beyond` among them.
     """
     for n in range(0, grid.block, 8):
         store(work.west, n, splat(0.0))

@@ -31,10 +31,10 @@ from rvm_mpi.job import JobError
 from rvm_mpi.kernels import Direct, kernel
 from rvm_mpi.kinetic.conservation import SUMS, correct
 from rvm_mpi.kinetic.drift import reach
-from rvm_mpi.kinetic.walls import KINDS, fill_side
+from rvm_mpi.kinetic.walls import KINDS, Side, fill_side
 from rvm_mpi.moments import fields, sums_about
 from rvm_mpi.simd import LANES, load, splat, total
-from rvm_mpi.stage import Cells, Model, Space, Work
+from rvm_mpi.stage import Cells, Model, Sides, Space, Work
 from rvm_mpi.states import distribution
 from rvm_mpi.velocity import VelocityGrid, Y, Z
 
@@ -214,11 +214,11 @@ class KineticStepper:
         self._growth, self._depth = np.zeros((ny, nx)), np.zeros((ny, nx))
         self._omega_end = np.ones((ny, nx))
         self._diagnostics = np.zeros((ny, nx, stage.DIAGNOSTICS))
-        self._sides = tuple(np.zeros((n, 5)) for n in (ny, ny, nx, nx))
+        self._sides = Sides(*(tuple(np.zeros((n, 5)) for n in (ny, ny, nx, nx)) for _ in Sides._fields))
         self._through = tuple(np.zeros((n, 5)) for n in (ny, ny, nx, nx))
         self._far = {name: self._side_states(name, density, velocity, tensor) for name in SIDES if domain.on_side(name)}
         self._run_sweep, self._fill_side = Direct(stage.sweep), Direct(fill_side)
-        self._wall_work = np.zeros((4, max(self.grid.nodes.shape[1], 3)))
+        self._wall_work = np.zeros((5, self.grid.nodes.shape[1])), np.zeros(5)
         self.rates, self.share, self.cooling_rate = [0.0] * len(DRIFT_SHARES), 0, 0.0
         self._operator = _operator(job, domain)
         self._source = np.zeros((ny, nx, self.grid.block)) if self._operator else np.zeros((0, 0, 0))
@@ -362,38 +362,33 @@ class KineticStepper:
         wy, wx = self.domain.ghosts(GHOSTS)
         block, row = self.grid.block, self.grid.block * (nx + 2 * self.space.wx)
         first = self.space.wy * row + self.space.wx * block
-        along = {"x": row, "y": block}
+        carries = self.model.kinetic or self.model.conservative
         for name, states in self._far.items():
             axis, lower = "xy".index(name[0]), name.endswith("lower")
-            inward = (block, row)[axis] * (1 if lower else -1)
-            inner = first if lower else first + ((nx - 1) * block if axis == 0 else (ny - 1) * row)
             boundary = self.job.space.sides[name]
-            accommodation = 1.0 if boundary.accommodation is None else float(boundary.accommodation)
-            kind = KINDS[boundary.kind]
-            if boundary.kind == "maxwell" and accommodation == 0.0:
-                kind = KINDS["specular"]
+            kind, accommodation = boundary.kind, boundary.accommodation
+            if kind == "maxwell" and accommodation == 0.0:
+                kind = "specular"
             # omega beyond a wall is that of the inner cell; a specular wall mirrors it like the gas
             field = cells.omega[wy : wy + ny].T if axis == 0 else cells.omega[:, wx : wx + nx]
             near, far, edge, next_one = (1, 0, 2, 3) if lower else (-2, -1, -3, -4)
             omega = field[edge].copy()
             field[near] = omega
-            field[far] = field[next_one] if boundary.kind == "specular" else omega
-            sign = 1 if lower else -1
-            self._fill_side(
-                g.reshape(-1),
-                inner,
-                along[name[0]],
-                inward,
-                omega.size,
-                axis,
-                sign,
-                kind,
-                accommodation,
-                states,
-                omega,
-                self.grid,
-                self._wall_work,
+            field[far] = field[next_one] if kind == "specular" else omega
+            side = Side(
+                inner=first if lower else first + ((nx - 1) * block if axis == 0 else (ny - 1) * row),
+                along=(row, block)[axis],
+                inward=(block, row)[axis] * (1 if lower else -1),
+                axis=axis,
+                sign=1 if lower else -1,
+                kind=KINDS[kind],
+                accommodation=1.0 if accommodation is None else float(accommodation),
+                rate=(self.space.per_dx, self.space.per_dy)[axis] if carries else 0.0,
             )
+            last = 0 if lower else -1
+            sums = np.ascontiguousarray(cells.sums[:, last] if axis == 0 else cells.sums[last])
+            beyond = self._sides.beyond[SIDES.index(name)]
+            self._fill_side(g.reshape(-1), side, states, omega, sums, self.grid, *self._wall_work, beyond)
 
     def set_scaling(self, omega_end: np.ndarray, dt: float) -> None:
         """omega (ny, nx) at the end of the coming step, where it is given from outside; its rate is the step's mean."""
@@ -415,13 +410,13 @@ class KineticStepper:
     def second_stage(self, dt: float) -> StepReport:
         """g^(n+1) from g* and g^n, written over g^n."""
         first = self._diagnostics.copy()
-        for mean, side in zip(self._through, self._sides):
+        for mean, side in zip(self._through, self._sides.through):
             mean[...] = side
         self._fill_ghosts(self._other, self._middle)
         self._sweep(True, dt, self._other, self.g, self._middle, self._next)
         self.now, self._next = self._next, self.now
         last = self._diagnostics
-        for mean, side in zip(self._through, self._sides):
+        for mean, side in zip(self._through, self._sides.through):
             mean[...] = 0.5 * (mean + side)
         entered = {
             name: (dt if name.endswith("lower") else -dt) * self._through[SIDES.index(name)]
@@ -447,7 +442,7 @@ class KineticStepper:
 
     def measure_sides(self) -> None:
         """Take the rates through the physical sides from the last stage alone: at the start, before any step."""
-        for mean, side in zip(self._through, self._sides):
+        for mean, side in zip(self._through, self._sides.through):
             mean[...] = side
 
     @property

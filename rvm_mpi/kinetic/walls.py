@@ -1,15 +1,22 @@
-"""Boundary conditions of g: what the two ghost cells beyond a side hold.
+"""Boundary conditions of g: what the two ghost cells beyond a side hold, and what their nodes cannot say.
 
 Velocities that leave see the extrapolated gas, cut at zero, so that the limiter keeps second order up to the wall;
 velocities that enter see, in both ghost cells, the value g has on the face: reflected, of the wall's or of the far
-gas's Maxwellian, or none. Wall and far states are written in the inner cell's omega: u/omega and T/omega^2. A specular
-wall mirrors the gas, which is the same as the mirrored domain beyond it.
+gas's Maxwellian, or none. A specular wall mirrors the gas, which is the same as the mirrored domain beyond it.
+
+A Maxwellian that enters is the discrete Gaussian that the gas inside relaxes to (`es_bgk.fit_axis`, axis by axis), in
+the inner cell's omega: u/omega and T/omega^2. So a gas in equilibrium with its side stays as it is, to round-off, on any
+grid. Where the nodes of the inner cell cannot hold the side's temperature or velocity (a wall much colder than the
+gas), they take the nearest that they can; mass, momentum and energy that cross the face are those of the side's state
+all the same, and the difference goes to the carried moments alone: the columns of `beyond`.
 """
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
+from rvm_mpi.collisions.es_bgk import ROOM, fit_axis, smallest_variance
 from rvm_mpi.kernels import kernel, part
 
 SPECULAR, MAXWELL, FAR_FIELD, OUTFLOW, VACUUM = range(5)
@@ -20,13 +27,33 @@ KINDS = {
     "outflow": OUTFLOW,
     "vacuum": VACUUM,
 }
+#: a variance of so many h^2 is resolved: its half-space has the mass flux of a Maxwellian within 4 %
+RESOLVED = 1.0
+#: no grid point holds less than h^2/4 wherever the mean is; a little more, for Newton's method
+HELD_ANYWHERE = 0.27
+#: a box of so many thermal speeds on either side holds a Gaussian nearly as it is
+REACH = 3.5
+#: variances that differ by less than this are the same
+ROUNDED = 1e-9
 
 
-@part
-def inward_flux(density, normal, temperature):  # type: ignore[no-untyped-def]
-    """Mass per area and time that a half-space of Maxwellian gas sends in; `normal` is its inward velocity."""
-    s = normal / math.sqrt(2.0 * temperature)
-    return density * (math.sqrt(temperature / (2.0 * math.pi)) * math.exp(-s * s) + 0.5 * normal * (1.0 + math.erf(s)))
+class Side(NamedTuple):
+    """One side of a rank for `fill_side`.
+
+    inner, along, inward: offset in g of the side's first inner cell, step to the next cell along the side, and step to
+    the next cell inward. axis, sign: normal direction (0 x, 1 y); +1 where xi_n > 0 enters (a lower side), else -1.
+    kind, accommodation: which condition, and the fraction thermalised of a Maxwell wall. rate: 1 over the width of
+    a cell along the normal where moments are carried, else 0.
+    """
+
+    inner: int
+    along: int
+    inward: int
+    axis: int
+    sign: int
+    kind: int
+    accommodation: float
+    rate: float
 
 
 @part
@@ -37,102 +64,195 @@ def outgoing_face(g, inner, inward, at):  # type: ignore[no-untyped-def]
     return here + (a * b / (a + b) if a * b > 0.0 else 0.0)
 
 
+@part
+def axis_gaussian(nodes, count, mean, variance, fit, factor):  # type: ignore[no-untyped-def]
+    """factor = the discrete Gaussian of one axis with this mean and variance; its sum is one."""
+    if count == 1:
+        factor[0] = 1.0
+        return
+    fit_axis(nodes, count, mean, variance, fit)
+    whole = 0.0
+    for n in range(count):
+        s = nodes[n] - mean
+        factor[n] = math.exp(min(s * (fit[0] * s + fit[1]), 600.0))
+        whole += factor[n]
+    for n in range(count):
+        factor[n] /= whole
+
+
+@part
+def nearest_held(nodes, count, mean, variance, own):  # type: ignore[no-untyped-def]
+    """The mean and variance nearest to those given that an axis can hold; `own`, the gas's own T_g, counts as held."""
+    if count == 1:
+        return 0.0, 0.0
+    h, edge = nodes[1] - nodes[0], nodes[count - 1]
+    centre = min(max(mean, 0.25 * h - edge), edge - 0.25 * h)
+    widest = max(own, ((edge + 0.5 * h) / REACH) ** 2)
+    return centre, max(min(variance, widest), smallest_variance(nodes, count, centre) + ROOM * h * h)
+
+
+@part
+def frame(nodes, count, mean, variance, own, own_frame):  # type: ignore[no-untyped-def]
+    """The factor on omega of a frame in which the normal axis holds a side's state; 1 where it does as it is.
+
+    Parameters
+    ----------
+    mean, variance : float
+        The side's, in the inner cell's omega.
+    own : float
+        T_g of the inner cell. A state at the gas's own temperature, or one that is resolved, is held.
+    own_frame : float
+        The side's own omega over the inner cell's, for a state too fast for a smaller one.
+    """
+    h, edge = nodes[1] - nodes[0], nodes[count - 1]
+    least, widest = min(own, RESOLVED * h * h), max(own, ((edge + 0.5 * h) / REACH) ** 2)
+    held = abs(mean) < edge and variance >= smallest_variance(nodes, count, mean) + ROOM * (1.0 - ROUNDED) * h * h
+    if held and least * (1.0 - ROUNDED) <= variance <= widest * (1.0 + ROUNDED):
+        return 1.0
+    scale = math.sqrt(variance / (widest if variance > widest else max(least, HELD_ANYWHERE * h * h)))
+    return scale if abs(mean) < 0.5 * edge * scale else max(scale, own_frame)
+
+
+@part
+def half_space(nodes, count, sign, factor):  # type: ignore[no-untyped-def]
+    """Sums of c, c^2, c^3 times factor over the nodes that enter, c their inward speed."""
+    first, second, third = 0.0, 0.0, 0.0
+    for n in range(count):
+        c = sign * nodes[n]
+        if c > 0.0:
+            first += c * factor[n]
+            second += c * c * factor[n]
+            third += c * c * c * factor[n]
+    return first, second, third
+
+
+@part
+def entering(side, state, omega, sums, grid, work, lack):  # type: ignore[no-untyped-def]
+    """The Maxwellian that a side sends in, as one factor for each axis: `work[:3]`, each with sum one.
+
+    Parameters
+    ----------
+    state : (5,) array
+        rho, u, T of the wall or the far gas.
+    omega, sums : float, (10,) array
+        Of the inner cell.
+    work : (5, longest axis) array
+        Three factors, work space for a fourth, and for the fit.
+    lack : (5,) array
+        Receives momentum and energy that the side's state carries through the face, per mass, beyond what the factors
+        do: normal component along the inner normal; nothing but round-off where the nodes hold the state.
+
+    Returns
+    -------
+    float
+        Density over node weight of the factors' product for which they have the mass flux of a gas of density rho.
+    """
+    own = (sums[4] + sums[7] + sums[9]) / sums[0]
+    for q in range(3):
+        own -= (sums[1 + q] / sums[0]) ** 2
+    own /= grid.dimensions
+    variance = state[4] / (omega * omega)
+    fit = work[4]
+    energy, speed2 = 0.0, 0.0
+    for q in range(grid.dimensions):
+        mean = state[1 + q] / omega
+        speed2 += mean * mean
+        nodes, count = grid.nodes[q], grid.points[q]
+        centre, width = nearest_held(nodes, count, mean, variance, own)
+        axis_gaussian(nodes, count, centre, width, fit, work[q])
+        if q != side.axis:
+            first, second = 0.0, 0.0
+            for n in range(count):
+                first += nodes[n] * work[q, n]
+                second += nodes[n] * nodes[n] * work[q, n]
+            lack[1 + q] = omega * (mean - first)
+            energy += mean * mean + variance - second
+    for q in range(grid.dimensions, 3):
+        work[q, 0], lack[1 + q] = 1.0, 0.0
+    nodes, count, mean = grid.nodes[side.axis], grid.points[side.axis], state[1 + side.axis] / omega
+    scale = frame(nodes, count, mean, variance, own, math.sqrt(variance + speed2 / grid.dimensions))
+    first, second, third = half_space(nodes, count, side.sign, work[side.axis])
+    c1, c2, c3 = first, second, third
+    if scale != 1.0:
+        axis_gaussian(nodes, count, mean / scale, variance / (scale * scale), fit, work[3])
+        c1, c2, c3 = half_space(nodes, count, side.sign, work[3])
+    lack[0], lack[1 + side.axis], lack[4] = 0.0, 0.0, 0.0
+    if not (first > 0.0 and c1 > 0.0):  # all of the gas flows out
+        for q in range(5):
+            lack[q] = 0.0
+        return 0.0
+    lack[1 + side.axis] = omega * (scale * (c2 / c1) - second / first)
+    energy += scale * scale * (c3 / c1) - third / first
+    lack[4] = 0.5 * omega * omega * energy
+    return state[0] / grid.weight * (scale * c1 / first)
+
+
 @kernel
-def fill_side(g, inner, along, inward, count, axis, sign, kind, accommodation, states, omega, grid, work):  # type: ignore[no-untyped-def]
+def fill_side(g, side, states, omega, sums, grid, work, lack, beyond):  # type: ignore[no-untyped-def]
     """Fill the ghost cells beyond one side of a rank.
 
     Parameters
     ----------
     g : flat array of blocks
-    inner, along, inward : int
-        Offset of the side's first inner cell, step to the next cell along the side, and step to the next cell inward.
-    count : int
-        Cells along the side.
-    axis, sign : int
-        Normal direction (0 x, 1 y); +1 where xi_n > 0 enters (a lower side), else -1.
-    kind, accommodation : int, float
-        Which condition, and the fraction thermalised of a Maxwell wall.
+    side : Side
     states : (count, 5) array
-        rho, u_x, u_y, u_z, T of the wall or the far gas.
-    omega : (count,) array
-        Scaling of the inner cells.
+        rho, u_x, u_y, u_z, T of the wall or the far gas, for each cell along the side.
+    omega, sums : (count,) array, (count, 10) array
+        Scaling of the inner cells, and their sums of 1, xi, xi xi (`stage.Cells`).
     grid : stage.Grid
-    work : (4, longest axis) array
-        Work space, three wide at least.
+    work, lack : (5, longest axis in whole vectors) array, (5,) array
+        Work space.
+    beyond : (count, 5) array
+        Receives rates of mass (none), momentum and energy through the faces, counted along the axis, that the side's
+        state has beyond what the nodes of its ghost cells have.
     """
     nvx, nvy, nvz = grid.points
     size = grid.slab_size
-    factor, peak = work[:3], work[3]
-    for c in range(count):
-        cell = inner + c * along
-        near, far = cell - inward, cell - 2 * inward
-        if kind == SPECULAR:
+    for c in range(omega.size):
+        cell = side.inner + c * side.along
+        near, far = cell - side.inward, cell - 2 * side.inward
+        for q in range(5):
+            beyond[c, q] = 0.0
+        if side.kind == SPECULAR:
             for k in range(nvx):
                 for j in range(nvy):
-                    mirrored = ((nvx - 1 - k) * size + j * nvz) if axis == 0 else (k * size + (nvy - 1 - j) * nvz)
+                    mirrored = ((nvx - 1 - k) * size + j * nvz) if side.axis == 0 else (k * size + (nvy - 1 - j) * nvz)
                     at = k * size + j * nvz
                     for n in range(nvz):
                         g[near + at + n] = g[cell + mirrored + n]
-                        g[far + at + n] = g[cell + inward + mirrored + n]
+                        g[far + at + n] = g[cell + side.inward + mirrored + n]
             continue
         scale = 0.0
-        if kind == MAXWELL or kind == FAR_FIELD:
-            w = omega[c]
-            variance = states[c, 4] / (w * w)
-            for q in range(3):
-                highest = -math.inf
-                mean = states[c, 1 + q] / w
-                for n in range(grid.points[q]):
-                    s = grid.nodes[q, n] - mean
-                    factor[q, n] = -0.5 * s * s / variance
-                    if q != axis or sign * grid.nodes[q, n] > 0.0:
-                        highest = max(highest, factor[q, n])
-                peak[q] = highest
-                for n in range(grid.points[q]):
-                    factor[q, n] = math.exp(min(factor[q, n] - highest, 0.0))
+        if side.kind == MAXWELL or side.kind == FAR_FIELD:
+            scale = entering(side, states[c], omega[c], sums[c], grid, work, lack)
             arriving, leaving = 0.0, 0.0
             for k in range(nvx):
                 for j in range(nvy):
-                    speed = sign * (grid.nodes[0, k] if axis == 0 else grid.nodes[1, j])
+                    speed = side.sign * (grid.nodes[0, k] if side.axis == 0 else grid.nodes[1, j])
                     for n in range(nvz):
-                        at = k * size + j * nvz + n
                         if speed > 0.0:
-                            arriving += speed * factor[0, k] * factor[1, j] * factor[2, n]
-                        elif kind == MAXWELL:
-                            leaving -= speed * outgoing_face(g, cell, inward, at)
-            if kind == MAXWELL:
-                scale = accommodation * leaving / arriving
-            else:
-                flux = inward_flux(states[c, 0], sign * states[c, 1 + axis], states[c, 4])
-                scale = flux / (w * grid.weight * arriving)
-                # where the grid resolves the gas, the density of the whole Maxwellian instead: the sum over half the
-                # nodes is off by h^2/24, which a uniform gas must not see
-                per_spacing = grid.per_spacing[axis]
-                resolved = min(max(4.0 * variance * per_spacing * per_spacing - 1.0, 0.0), 1.0)
-                if resolved > 0.0:
-                    whole = 1.0
-                    for q in range(3):
-                        mean, part = states[c, 1 + q] / w, 0.0
-                        for n in range(grid.points[q]):
-                            s = grid.nodes[q, n] - mean
-                            part += math.exp(-0.5 * s * s / variance - peak[q])
-                        whole *= part
-                    scale += resolved * (states[c, 0] / (grid.weight * whole) - scale)
+                            arriving += speed * work[0, k] * work[1, j] * work[2, n]
+                        elif side.kind == MAXWELL:
+                            leaving -= speed * outgoing_face(g, cell, side.inward, k * size + j * nvz + n)
+            if side.kind == MAXWELL:
+                scale = side.accommodation * leaving / arriving
+            mass = side.rate * grid.weight * omega[c] * scale * arriving
+            for q in range(1, 5):
+                # inward momentum along the normal counts the same whichever way the axis points
+                beyond[c, q] = mass * lack[q] * (1.0 if q == 1 + side.axis else side.sign)
         for k in range(nvx):
             for j in range(nvy):
-                speed = sign * (grid.nodes[0, k] if axis == 0 else grid.nodes[1, j])
-                mirrored = ((nvx - 1 - k) * size + j * nvz) if axis == 0 else (k * size + (nvy - 1 - j) * nvz)
+                speed = side.sign * (grid.nodes[0, k] if side.axis == 0 else grid.nodes[1, j])
+                mirrored = ((nvx - 1 - k) * size + j * nvz) if side.axis == 0 else (k * size + (nvy - 1 - j) * nvz)
                 for n in range(nvz):
                     at = k * size + j * nvz + n
-                    if kind == OUTFLOW:
+                    if side.kind == OUTFLOW:
                         value = g[cell + at]
                     elif speed > 0.0:
-                        value = 0.0
-                        if kind != VACUUM:
-                            value = scale * factor[0, k] * factor[1, j] * factor[2, n]
-                        if kind == MAXWELL and accommodation < 1.0:
-                            value += (1.0 - accommodation) * outgoing_face(g, cell, inward, mirrored + n)
+                        value = scale * work[0, k] * work[1, j] * work[2, n] if side.kind != VACUUM else 0.0
+                        if side.kind == MAXWELL and side.accommodation < 1.0:
+                            value += (1.0 - side.accommodation) * outgoing_face(g, cell, side.inward, mirrored + n)
                     else:
-                        value = max(2.0 * g[cell + at] - g[cell + inward + at], 0.0)
+                        value = max(2.0 * g[cell + at] - g[cell + side.inward + at], 0.0)
                     g[near + at] = value
                     g[far + at] = value
