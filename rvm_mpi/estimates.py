@@ -18,6 +18,7 @@ from rvm_mpi import kinetic_theory
 from rvm_mpi.collisions.boltzmann_weights import SUPPORT, Rows
 from rvm_mpi.job_text import JobError
 from rvm_mpi.states import macroscopic_state
+from rvm_mpi.velocity import ROOM
 
 if TYPE_CHECKING:
     from rvm_mpi.job import Job
@@ -144,7 +145,7 @@ def largest_mach(job: Job) -> float:
 
 
 def check_box(job: Job) -> None:
-    """Refuse a velocity grid too small or too coarse for the initial state (unscaled: or for a wall's gas).
+    """Refuse a velocity grid too small or too coarse for the initial state or for a side's.
 
     Raises
     ------
@@ -167,11 +168,48 @@ def check_box(job: Job) -> None:
             f"no temperature below {least[cell]:.4g} at its mean velocity, it needs "
             f"{start.temperature[cell] / start.omega[cell] ** 2:.4g}"
         )
-    if job.scaling.kind == "none":
-        for name, side in job.space.sides.items():
-            if side.temperature is not None and side.velocity is not None:
-                thermal = np.full(job.velocity.dimensions, sqrt(side.temperature))
-                _check_width(job, f"the gas from {name}", np.array(side.velocity), thermal)
+    check_sides(job)
+
+
+def check_sides(job: Job) -> None:
+    """Refuse a wall or a far field whose given state the velocity grid cannot hold.
+
+    Raises
+    ------
+    JobError
+        Naming the side, its temperature and Mach number, and the points that would do.
+    """
+    for name, side in job.space.sides.items():
+        if side.temperature is not None and side.velocity is not None:
+            _check_side(job, name, np.array(side.velocity), side.temperature)
+
+
+def _check_side(job: Job, name: str, velocity: np.ndarray, temperature: float) -> None:
+    """Refuse a wall's or a far field's state that the velocity grid cannot hold in its own omega (unscaled: as it is).
+
+    In gas of another temperature it enters with its own moments all the same (`kinetic/walls.py`).
+    """
+    d = job.velocity.dimensions
+    omega = 1.0 if job.scaling.kind == "none" else sqrt(temperature + float(velocity @ velocity) / d)
+    mean, variance = velocity / omega, temperature / omega**2
+    _check_width(job, f"the gas from {name}", mean, np.full(d, sqrt(variance)))
+    for axis, (points, width) in enumerate(zip(job.velocity.points, job.velocity.half_width, strict=True)):
+        least = least_held(points, width, float(mean[axis]))
+        if variance >= least:
+            continue
+        speed = sqrt(float(velocity @ velocity)) / sqrt((d + 2) / d * temperature)
+        of = "T" if job.scaling.kind == "none" else "T/omega^2"
+        needed = ceil(2 * width / sqrt(variance / (0.25 + ROOM)))
+        raise JobError(
+            f"space.boundary.{name.replace('-', '.')}: the velocity grid cannot hold its state (temperature "
+            f"{temperature:g}, Mach {speed:.3g}): along {'xyz'[axis]} {points} points hold no {of} below {least:.4g} "
+            f"at its mean velocity, it has {variance:.4g}; allowed with {needed} points there, or slower and warmer"
+        )
+
+
+def least_held(points: int, half_width: float, mean: float) -> float:
+    """The smallest variance of a discrete Gaussian with this mean on the nodes of one direction; inf outside them."""
+    return least_temperature(points, half_width, mean) + ROOM * (2 * half_width / points) ** 2
 
 
 def _check_width(job: Job, what: str, mean: np.ndarray, thermal: np.ndarray) -> None:

@@ -24,7 +24,7 @@ from rvm_mpi import checkpoint, kernels, postmortem, rundir
 from rvm_mpi.checkpoint import Checkpoint
 from rvm_mpi.control import Control
 from rvm_mpi.domain import Domain
-from rvm_mpi.estimates import stretched_time
+from rvm_mpi.estimates import check_sides, stretched_time
 from rvm_mpi.exact_sum import exact_sums
 from rvm_mpi.failures import launched_rank
 from rvm_mpi.fluid import FluidSystem
@@ -84,7 +84,7 @@ class Simulation:
     Raises
     ------
     JobError
-        On every rank, if the number of ranks, the initial state or the checkpoint does not fit.
+        On every rank, if the number of ranks, the initial state, a side's state or the checkpoint does not fit.
     NumericalFailure
         From iterating: the run cannot go on.
     """
@@ -92,6 +92,7 @@ class Simulation:
     def __init__(
         self, job: Job, initial: InitialState | None = None, comm: Any = None, restart: Checkpoint | None = None
     ) -> None:
+        check_sides(job)
         self.job = job
         self.domain = Domain(job, comm)
         if restart is not None:
