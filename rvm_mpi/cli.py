@@ -312,6 +312,8 @@ def _velocity_lines(job: Job) -> Iterator[str]:
     yield _row(
         "  sampled within 1 %", f"down to {sampled}; below, Gaussians live on their discrete correction"
     )
+    for line in estimates.unresolved_sides(job):
+        yield _row("  warning", line)
     mach = estimates.largest_mach(job)
     if job.scaling.kind != "none" and mach < inf:
         yield _row("  flows up to", f"Mach {mach:.3g}: faster ones leave too little of omega^2 to T_g")

@@ -207,6 +207,39 @@ def _check_side(job: Job, name: str, velocity: np.ndarray, temperature: float) -
         )
 
 
+def unresolved_sides(job: Job) -> list[str]:
+    """What to say of walls and far fields that are colder than the nodes across hold in the gas of the hottest one.
+
+    Without collisions what such a side sends in runs through that gas with the temperature of the nodes, not its own.
+    """
+    if job.scaling.kind == "none" or job.velocity.dimensions == 1:
+        return []
+    given = {name: side.temperature for name, side in job.space.sides.items() if side.temperature is not None}
+    hottest = max([float(start_fields(job).temperature.max()), *given.values()])
+    lines = []
+    for name, temperature in given.items():
+        middle = sqrt(temperature * hottest)  # of two streams, one from this side and one from the hottest
+        # what is too much of T/omega^2 in each direction across
+        excess = {}
+        for axis, (points, width) in enumerate(zip(job.velocity.points, job.velocity.half_width, strict=True)):
+            lacking = least_held(points, width, 0.0) - temperature / middle
+            if lacking > 0.0 and "xyz"[axis] != name[0]:
+                excess["xyz"[axis]] = lacking
+        if not excess:
+            continue
+        heat = (job.velocity.dimensions + 1) / 2 * (hottest - temperature) / middle
+        needed = max(
+            ceil(2 * job.velocity.half_width["xyz".index(axis)] / sqrt(temperature / middle / (0.25 + ROOM)))
+            for axis in excess
+        )
+        lines.append(
+            f"{name} (T = {temperature:g}) beside gas at T = {hottest:g}: the nodes along {' and '.join(excess)} do not "
+            f"hold its temperature there; without collisions about {50 * sum(excess.values()) / heat:.2g} % too little "
+            f"heat; {needed} points, or a smaller half_width, would do"
+        )
+    return lines
+
+
 def least_held(points: int, half_width: float, mean: float) -> float:
     """The smallest variance of a discrete Gaussian with this mean on the nodes of one direction; inf outside them."""
     return least_temperature(points, half_width, mean) + ROOM * (2 * half_width / points) ** 2
