@@ -233,8 +233,8 @@ def unresolved_sides(job: Job) -> list[str]:
             for axis in excess
         )
         lines.append(
-            f"{name} (T = {temperature:g}) beside gas at T = {hottest:g}: the nodes along {' and '.join(excess)} do not "
-            f"hold its temperature there; without collisions about {50 * sum(excess.values()) / heat:.2g} % too little "
+            f"{name} (T = {temperature:g}) beside gas at T = {hottest:g}: the nodes along {' and '.join(excess)} do "
+            f"not hold its temperature there; without collisions about {50 * sum(excess.values()) / heat:.2g} % too little "
             f"heat; {needed} points, or a smaller half_width, would do"
         )
     return lines

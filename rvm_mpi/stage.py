@@ -110,6 +110,12 @@ class Sides(NamedTuple):
     through: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
     beyond: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
+    @classmethod
+    def create(cls, nx: int, ny: int) -> Sides:
+        """Zeros for the sides of nx x ny cells."""
+        x, y = np.zeros((2, 2, ny, 5)), np.zeros((2, 2, nx, 5))
+        return cls((x[0, 0], x[0, 1], y[0, 0], y[0, 1]), (x[1, 0], x[1, 1], y[1, 0], y[1, 1]))
+
 
 def kernel_grid(grid: VelocityGrid, reconstruction: str = "van-leer") -> Grid:
     """The grid's numbers and arrays, and the drift's reconstruction by its name, as the kernels take them."""

@@ -214,7 +214,7 @@ class KineticStepper:
         self._growth, self._depth = np.zeros((ny, nx)), np.zeros((ny, nx))
         self._omega_end = np.ones((ny, nx))
         self._diagnostics = np.zeros((ny, nx, stage.DIAGNOSTICS))
-        self._sides = Sides(*(tuple(np.zeros((n, 5)) for n in (ny, ny, nx, nx)) for _ in Sides._fields))
+        self._sides = Sides.create(nx, ny)
         self._through = tuple(np.zeros((n, 5)) for n in (ny, ny, nx, nx))
         self._far = {name: self._side_states(name, density, velocity, tensor) for name in SIDES if domain.on_side(name)}
         self._run_sweep, self._fill_side = Direct(stage.sweep), Direct(fill_side)

@@ -5,8 +5,8 @@ velocities that enter see, in both ghost cells, the value g has on the face: ref
 gas's Maxwellian, or none. A specular wall mirrors the gas, which is the same as the mirrored domain beyond it.
 
 A Maxwellian that enters is the discrete Gaussian that the gas inside relaxes to (`es_bgk.fit_axis`, axis by axis), in
-the inner cell's omega: u/omega and T/omega^2. So a gas in equilibrium with its side stays as it is, to round-off, on any
-grid. Where the nodes of the inner cell cannot hold the side's temperature or velocity (a wall much colder than the
+the inner cell's omega: u/omega and T/omega^2. So a gas in equilibrium with its side stays as it is, to round-off, on
+any grid. Where the nodes of the inner cell cannot hold the side's temperature or velocity (a wall much colder than the
 gas), they take the nearest that they can; mass, momentum and energy that cross the face are those of the side's state
 all the same, and the difference goes to the carried moments alone: the columns of `beyond`.
 """
