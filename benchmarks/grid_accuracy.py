@@ -1,23 +1,25 @@
 """What viscosity and heat conduction are worth on a velocity grid: the tables of `rvm_mpi/accuracy_tables.py`.
 
-    python benchmarks/grid_accuracy.py              (prints them; a quarter of an hour, most of it for d = 3)
-    python benchmarks/grid_accuracy.py --write      (and writes them into the package)
-    python benchmarks/grid_accuracy.py --exponent 0 (Maxwell molecules instead of hard spheres, d = 2 and 3, a few grids)
+    python benchmarks/grid_accuracy.py               (prints them; a quarter of an hour, most of it for d = 3)
+    python benchmarks/grid_accuracy.py --write       (and writes them into the package)
+    python benchmarks/grid_accuracy.py --exponent 0  (Maxwell molecules, not hard spheres, on a few grids)
 
-The Boltzmann operator by itself, elastic, linear about the sampled Maxwellian M of unit temperature at rest: it acts on
-M (xi_x xi_y + xi_x (|xi|^2 - d - 2)), the momentum it makes is taken out as the program's correction does. C(t) is what is
-left of stress and heat flux, in units of the heat flux's first Sonine relaxation time. Given are
+The Boltzmann operator by itself, elastic, linear about the sampled Maxwellian M of unit temperature at rest: it acts
+on M (xi_x xi_y + xi_x (|xi|^2 - d - 2)), and the momentum it makes is taken out as the program's correction does. C(t)
+is what is left of stress and heat flux, t in units of the heat flux's first Sonine relaxation time. Given are
 
     first        the initial rate, over the exact one: first Sonine approximation, inverted
     viscosity    the integral of C over ten relaxation times, over the exact one
     conductivity the same of the heat flux
     residue      C of the heat flux after twenty: what never relaxes
 
-d = 1 has no shear and its elastic collisions do nothing: e = 0.9, the loss of energy and the initial rate of the heat flux.
+d = 1 has no shear and its elastic collisions do nothing: there e = 0.9, and the loss of energy and the initial rate of
+the heat flux are given.
 
-The drift: conductivity of ES-BGK in rescaled variables (tests/verification/navier_stokes.py), over that in classical ones,
-from a wave on 64 cells, V = 7, along the gradient (d = 1) and across it (d = 2, 32 velocities along): what a coarse grid takes
-off the conduction is the mean over the directions, along counted three times. The viscosity of a shear wave is beside it.
+The drift: conductivity of ES-BGK in rescaled variables (tests/verification/navier_stokes.py) over that in classical
+ones, from a wave on 64 cells, V = 7, with so many velocities along the gradient (d = 1), and across it (d = 2, 32
+along). Errors add up: that of d dimensions is the mean over the directions, along counted three times, across once.
+The viscosity of a shear wave is beside it, over that of the finest grid.
 """
 
 import argparse
@@ -25,6 +27,7 @@ import sys
 import time
 from math import gamma
 from pathlib import Path
+from textwrap import wrap
 
 import numpy as np
 
@@ -97,7 +100,7 @@ def relaxation_rates(d, exponent):
     return np.array([shear, shear * (d - 1) / d])
 
 
-def measure_operator(d, points, exponent=1.0):
+def measure_operator(d, points, exponent=1):
     """first (2, grids), viscosity, conductivity and residue (grids,) of one number of points."""
     gas = Gas(d, points, HALF_WIDTHS[d], 1.0, exponent)
     rates = relaxation_rates(d, exponent)
@@ -115,7 +118,7 @@ def measure_operator(d, points, exponent=1.0):
         before, slope, left = left, gas.parts(k1), gas.parts(h)
         if step < LASTED * STEPS:  # Hermite's rule
             lasted = lasted + dt / 2 * (before + left) + dt**2 / 12 * (slope - gas.parts(k4))
-    over_exact = lasted * rates[:, None] / np.array(EXACT[d, int(exponent)])[:, None]
+    over_exact = lasted * rates[:, None] / np.array(EXACT[d, exponent])[:, None]
     return first, over_exact[0], over_exact[1], left[1]
 
 
@@ -180,7 +183,7 @@ def text_of(operator, drift):
     lines = [
         '"""What viscosity and heat conduction are worth on a velocity grid, over the exact ones, at unit temperature.',
         "",
-        "Measured, and this file written, by `python benchmarks/grid_accuracy.py --write`: what the figures are is said there.",
+        "Measured and written by `python benchmarks/grid_accuracy.py --write`, where it says what the figures are.",
         '"""',
         "",
         "HALF_WIDTHS = {",
@@ -195,12 +198,13 @@ def text_of(operator, drift):
         lines.append(f"    {d}: {{")
         for n, rows in operator[d].items():
             lines.append(f"        {n}: (")
-            lines += [f"            ({', '.join(f'{value:.4g}' for value in row)})," for row in rows]
+            for row in rows:
+                lines += ["            (", *in_lines([f"{value:.4g}" for value in row], 16), "            ),"]
             lines.append("        ),")
         lines.append("    },")
     lines += [
         "}",
-        '"""By dimensions and points an axis: viscosity (d = 1: loss of energy), conductivity and, for d > 1, residue."""',
+        '"""By dimensions and points a direction: viscosity (d = 1: loss of energy), conductivity, and for d > 1 residue."""',
         "",
         f"SPACINGS = ({', '.join(f'{14 / n:.6g}' for n in SPACINGS)})",
         '"""Spacings of the table of the drift."""',
@@ -208,7 +212,8 @@ def text_of(operator, drift):
     ]
     for name, rows in drift.items():
         lines.append(f'    "{name}": (')
-        lines += [f"        ({', '.join(f'{value:.4f}' for value in row)})," for row in rows]
+        for row in rows:
+            lines += ["        (", *in_lines([f"{value:.4f}" for value in row], 12), "        ),"]
         lines.append("    ),")
     lines += [
         "}",
@@ -217,16 +222,21 @@ def text_of(operator, drift):
     return "\n".join(lines) + "\n"
 
 
+def in_lines(numbers, indent):
+    """Numbers of a tuple, a few lines of them."""
+    return wrap(", ".join(numbers) + ",", 110, initial_indent=" " * indent, subsequent_indent=" " * indent)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--write", action="store_true", help=f"write the tables into {MODULE.name}")
     parser.add_argument("--exponent", type=int, choices=(0, 1), default=1, help="of the kernel [1]; 0: a few grids")
     options = parser.parse_args()
     if options.exponent == 0:
-        operator_tables((2, 3), 0.0, {2: (16, 20, 21, 24, 32), 3: (16, 20, 21, 24)})
+        operator_tables((2, 3), 0, {2: (16, 20, 21, 24, 32), 3: (16, 20, 21, 24)})
         return
     drift = drift_table()
-    operator = operator_tables((1, 2, 3), 1.0)
+    operator = operator_tables((1, 2, 3), 1)
     if options.write:
         MODULE.write_text(text_of(operator, drift))
 
