@@ -1,6 +1,6 @@
 """What viscosity and heat conduction are worth on a velocity grid: the tables of `rvm_mpi/accuracy_tables.py`.
 
-    python benchmarks/grid_accuracy.py               (prints them; a quarter of an hour, most of it for d = 3)
+    python benchmarks/grid_accuracy.py               (prints them; half an hour, most of it for d = 3)
     python benchmarks/grid_accuracy.py --write       (and writes them into the package)
     python benchmarks/grid_accuracy.py --exponent 0  (Maxwell molecules, not hard spheres, on a few grids)
 
@@ -44,7 +44,7 @@ HALF_WIDTHS = {
     2: (4.0, 4.5, 5.0, 5.25, 5.5, 5.75, 6.0, 6.25, 6.5, 6.75, 7.0, 7.5, 8.0, 8.5, 9.0, 10.0),
     3: (5.0, 5.5, 6.0, 6.5, 7.0, 7.5, 8.0, 9.0),
 }
-POINTS = {1: range(8, 49), 2: range(10, 33), 3: range(10, 29)}
+POINTS = {1: range(8, 49), 2: range(10, 49), 3: range(10, 33)}
 #: all converged Sonine expansions: viscosity and conductivity over their first approximations
 EXACT = {(2, 1): (1.0220, 1.0297), (3, 1): (1.016034, 1.025218), (2, 0): (1.0, 1.0), (3, 0): (1.0, 1.0)}
 RESTITUTION = 0.9  # in d = 1
@@ -186,13 +186,13 @@ def text_of(operator, drift):
         "Measured and written by `python benchmarks/grid_accuracy.py --write`, where it says what the figures are.",
         '"""',
         "",
-        "HALF_WIDTHS = {",
+        "HALF_WIDTHS: dict[int, tuple[float, ...]] = {",
         *(f"    {d}: {HALF_WIDTHS[d]}," for d in sorted(operator)),
         "}",
         '"""Half widths of the Boltzmann tables by dimensions."""',
         "",
         "# fmt: off",
-        "BOLTZMANN = {",
+        "BOLTZMANN: dict[int, dict[int, tuple[tuple[float, ...], ...]]] = {",
     ]
     for d in sorted(operator):
         lines.append(f"    {d}: {{")
@@ -204,11 +204,11 @@ def text_of(operator, drift):
         lines.append("    },")
     lines += [
         "}",
-        '"""By dimensions and points a direction: viscosity (d = 1: loss of energy), conductivity, and for d > 1 residue."""',
+        '"""By dimensions and points a direction: viscosity (d = 1: loss of energy), conductivity, residue (d > 1)."""',
         "",
         f"SPACINGS = ({', '.join(f'{14 / n:.6g}' for n in SPACINGS)})",
         '"""Spacings of the table of the drift."""',
-        "DRIFT = {",
+        "DRIFT: dict[str, tuple[tuple[float, ...], tuple[float, ...]]] = {",
     ]
     for name, rows in drift.items():
         lines.append(f'    "{name}": (')

@@ -3,7 +3,7 @@
 Measured and written by `python benchmarks/grid_accuracy.py --write`, where it says what the figures are.
 """
 
-HALF_WIDTHS = {
+HALF_WIDTHS: dict[int, tuple[float, ...]] = {
     1: (4.0, 4.5, 5.0, 5.5, 6.0, 6.5, 7.0, 7.5, 8.0, 8.5, 9.0, 9.5, 10.0, 10.5, 11.0, 12.0),
     2: (4.0, 4.5, 5.0, 5.25, 5.5, 5.75, 6.0, 6.25, 6.5, 6.75, 7.0, 7.5, 8.0, 8.5, 9.0, 10.0),
     3: (5.0, 5.5, 6.0, 6.5, 7.0, 7.5, 8.0, 9.0),
@@ -11,7 +11,7 @@ HALF_WIDTHS = {
 """Half widths of the Boltzmann tables by dimensions."""
 
 # fmt: off
-BOLTZMANN = {
+BOLTZMANN: dict[int, dict[int, tuple[tuple[float, ...], ...]]] = {
     1: {
         8: (
             (
@@ -934,11 +934,11 @@ BOLTZMANN = {
         ),
     },
 }
-"""By dimensions and points a direction: viscosity (d = 1: loss of energy), conductivity, and for d > 1 residue."""
+"""By dimensions and points a direction: viscosity (d = 1: loss of energy), conductivity, residue (d > 1)."""
 
 SPACINGS = (1.75, 1.55556, 1.4, 1.27273, 1.16667, 1, 0.875, 0.777778, 0.7, 0.583333, 0.5, 0.4375, 0.35, 0.291667)
 """Spacings of the table of the drift."""
-DRIFT = {
+DRIFT: dict[str, tuple[tuple[float, ...], tuple[float, ...]]] = {
     "van-leer": (
         (
             2.7397, 0.7622, 0.9615, 0.7791, 0.7603, 0.7427, 0.7597, 0.7842, 0.8087, 0.8506, 0.8820, 0.9053,
