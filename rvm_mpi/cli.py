@@ -162,6 +162,7 @@ def _output(options: argparse.Namespace) -> Path:
 
 def _run(options: argparse.Namespace) -> int:
     from rvm_mpi import rundir
+    from rvm_mpi.accuracy import check_grid
     from rvm_mpi.domain import partition
     from rvm_mpi.estimates import check_box, check_weights
     from rvm_mpi.job import Job
@@ -173,6 +174,7 @@ def _run(options: argparse.Namespace) -> int:
         rundir.check_restart(output, job)
     partition(job.space.cells, failures.launched_size())
     check_box(job)
+    check_grid(job)
     check_weights(job)
 
     from rvm_mpi.simulation import run_job
@@ -197,11 +199,13 @@ def _check(options: argparse.Namespace) -> int:
         raise JobError("check: give a job file, or --states (see rvm check --help)")
     lines: list[str] = []
     if options.job is not None:
+        from rvm_mpi.accuracy import check_grid
         from rvm_mpi.estimates import check_box, check_weights
         from rvm_mpi.job import Job
 
         job = Job.from_file(options.job, options.set)
         check_box(job)
+        check_grid(job)
         check_weights(job)
         lines += _check_lines(job, options.job, options.ranks or failures.launched_size())
     if options.states:
@@ -218,6 +222,7 @@ def _check_lines(job: Job, file: str, ranks: int) -> Iterator[str]:
     yield from _step_lines(job, ranks)
     yield from _physics_lines(job)
     yield from _velocity_lines(job)
+    yield from _accuracy_lines(job)
     yield from _watch_lines(job)
 
 
@@ -317,6 +322,12 @@ def _velocity_lines(job: Job) -> Iterator[str]:
     mach = estimates.largest_mach(job)
     if job.scaling.kind != "none" and mach < inf:
         yield _row("  flows up to", f"Mach {mach:.3g}: faster ones leave too little of omega^2 to T_g")
+
+
+def _accuracy_lines(job: Job) -> Iterator[str]:
+    from rvm_mpi import accuracy
+
+    yield from (_row(name, text) for name, text in accuracy.describe(job))
 
 
 def _watch_lines(job: Job) -> Iterator[str]:

@@ -245,7 +245,7 @@ _COLLISION_KEYS = {
     "none": (),
     "es-bgk": ("knudsen", "prandtl", "relaxation", "cross_section"),
     "granular-es-bgk": ("knudsen", "restitution", "prandtl", "relaxation", "cross_section"),
-    "boltzmann": ("knudsen", "restitution", "cross_section", "exponent", "method", "penalise"),
+    "boltzmann": ("knudsen", "restitution", "cross_section", "exponent", "method", "penalise", "coarse"),
 }
 
 
@@ -274,7 +274,7 @@ def _resolve_collision(given: Collision, d: int) -> Collision:
         exponent = 1.0 if given.exponent is None else given.exponent
         resolved = _updated(
             given, cross_section=cross_section, exponent=exponent, method=given.method or "direct",
-            penalise=bool(given.penalise),
+            penalise=bool(given.penalise), coarse=bool(given.coarse),
         )
     else:
         exponent = 1.0

@@ -206,6 +206,10 @@ class Collision(Section):
     penalise: Switch | None = Field(
         default=None, description="true or false; true: steps not limited by the Knudsen number"
     )
+    coarse: Switch | None = Field(
+        default=None,
+        description="true or false; true: a velocity grid on which viscosity or heat conduction is far off is wanted",
+    )
 
     _cooling: float = PrivateAttr(0.0)
 

@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 
 from rvm_mpi import checkpoint, kernels, postmortem, rundir
+from rvm_mpi.accuracy import GridWatch
 from rvm_mpi.checkpoint import Checkpoint
 from rvm_mpi.control import Control
 from rvm_mpi.domain import Domain
@@ -391,6 +392,7 @@ class Diagnostics:
         *totals, heat, square, fluid_mass, fluid_energy_sum, fluid_heat, fluid_square = sums[: d + 8]
         dissipated, deviation = sums[d + 8 : d + 10]
         box = (report.box_mass, report.box_energy) if report else sim.kinetic.box_shares()
+        on_grid = temperature / sim.kinetic.omega**2
         largest = sim.domain.maximum(
             -(report.smallest if report else float(self._interior_g().min())),
             report.largest if report else float(self._interior_g().max()),
@@ -398,8 +400,12 @@ class Diagnostics:
             -float(temperature.min()),
             float(temperature.max()),
             *box,
+            -float(on_grid.min()),
+            float(on_grid.max()),
         )
         self.temperature_range = (-largest[3], largest[4])
+        #: smallest and largest T_g
+        self.grid_temperatures = (-largest[7], largest[8])
         replaced = exact_sums([np.array([float(report.replaced if report else 0)])], sim.domain.comm)[0]
         self._dissipated += float(dissipated) * sim.volume
         for key, value in zip(self._entered, sums[d + 10 :]):
@@ -533,6 +539,7 @@ class Run:
             self._on_rank_0(self._check_restart)
         aside = self._on_rank_0(lambda: rundir.prepare(output, job, restart, overwrite))
         self.watch = Watch(job)
+        self.grid_watch = GridWatch(job)
         self.facts = facts = rundir.provenance(self.comm.size)
         self._on_rank_0(lambda: self._open_log(facts, aside))
         self.fields = FieldsFile(
@@ -720,7 +727,10 @@ class Run:
 
     def warn(self) -> None:
         """Say what the present row of the history has that a run should not have."""
-        for line in self.watch.warnings(self.simulation.diagnostics.row):
+        diagnostics = self.simulation.diagnostics
+        lines = self.watch.warnings(diagnostics.row)
+        lines += self.grid_watch.warnings(diagnostics.grid_temperatures, diagnostics.row)
+        for line in lines:
             self.say(f"rvm: {self.simulation.job.name}: warning: {line}")
 
     def stop_at_the_box(self) -> int:
@@ -733,7 +743,7 @@ class Run:
         self.say(
             f"rvm: {sim.job.name}: stopped after step {sim.number} at t = {sim.time:.6g}: "
             f"{self.watch.reason_to_stop(sim.diagnostics.row)}{self._last_checkpoint()} with another watch.box_stop; "
-            "a wider velocity.half_width needs a new run",
+            "a wider velocity.half_width, with as many more velocity.points, needs a new run",
             failure=True,
         )
         return 3

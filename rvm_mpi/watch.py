@@ -48,7 +48,8 @@ class Watch:
             if size <= threshold:
                 continue
             self._next[name] = AGAIN * size
-            lines.append(f"{_WORDS[name].format(size)} in step {row['step']:.0f} at t = {row['time']:.6g}")
+            cure = _CURE if name.startswith("box") else ""
+            lines.append(f"{_WORDS[name].format(size)} in step {row['step']:.0f} at t = {row['time']:.6g}{cure}")
         return lines
 
     def reason_to_stop(self, row: Mapping[str, float]) -> str:
@@ -79,3 +80,5 @@ _WORDS = {
     "box_mass": "the outermost velocities hold {:.2g} of some cell's mass",
     "box_energy": "the outermost velocities hold {:.2g} of some cell's energy",
 }
+_CURE = ": a wider velocity.half_width holds it, but only with as many more velocity.points that the spacing stays"
+"""Of a share in the outermost velocities: a wider box alone would make a coarse grid coarser."""

@@ -50,7 +50,8 @@ GOOD = {
         **BASE,
         "space": {"cells": []},
         "velocity": {"points": [12, 12], "half_width": 8.0},
-        "collision": {"operator": "boltzmann", "knudsen": 1.0, "restitution": 0.9, "exponent": 1.0, "penalise": False},
+        "collision": {"operator": "boltzmann", "knudsen": 1.0, "restitution": 0.9, "exponent": 1.0, "penalise": False,
+                      "coarse": True},
         "initial": {"state": "two-gaussians", "sigma": 0.7},
     },
 }  # fmt: skip

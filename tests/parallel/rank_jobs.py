@@ -56,7 +56,7 @@ JOBS = {
     "boltzmann": {
         "space": {"cells": [14], "boundary": {"x": {"lower": "specular", "upper": "diffuse"}}},
         "velocity": {"points": [32, 16], "half_width": 8.0},
-        "collision": {"operator": "boltzmann", "knudsen": 0.2, "restitution": 0.9},
+        "collision": {"operator": "boltzmann", "knudsen": 0.2, "restitution": 0.9, "coarse": True},
         "initial": {"state": "wave", "density_amplitude": 0.2, "mode": [0.5]},
         "time": {"end": 0.02},
     },

@@ -26,7 +26,7 @@ CASES = {
     },
     "1d-boltzmann": {
         "space": {"cells": [11], "boundary": {"x": {"lower": "specular", "upper": "diffuse"}}},
-        "collision": {"operator": "boltzmann", "knudsen": 0.2, "restitution": 0.95, "penalise": True},
+        "collision": {"operator": "boltzmann", "knudsen": 0.2, "restitution": 0.95, "penalise": True, "coarse": True},
         "initial": WAVE,
     },
     "2d-walls": {
@@ -60,8 +60,8 @@ OPERATORS = {
     "free": {"operator": "none"},
     "es-bgk": {"operator": "es-bgk", "knudsen": 0.2},
     "granular": GRANULAR,
-    "boltzmann": {"operator": "boltzmann", "knudsen": 0.2, "restitution": 0.95},
-    "penalised": {"operator": "boltzmann", "knudsen": 0.2, "restitution": 0.95, "penalise": True},
+    "boltzmann": {"operator": "boltzmann", "knudsen": 0.2, "restitution": 0.95, "coarse": True},
+    "penalised": {"operator": "boltzmann", "knudsen": 0.2, "restitution": 0.95, "penalise": True, "coarse": True},
 }
 #: ... with every scaling ...
 SCALINGS = {

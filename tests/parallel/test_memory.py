@@ -44,7 +44,7 @@ JOBS = {
     "boltzmann": {
         "space": {"cells": [48, 48]},
         "velocity": {"points": [12, 12, 12]},
-        "collision": {"operator": "boltzmann", "knudsen": 0.1, "restitution": 0.9},
+        "collision": {"operator": "boltzmann", "knudsen": 0.1, "restitution": 0.9, "coarse": True},
         "initial": {"state": "random-density", "low": 0.5},
     },
 }

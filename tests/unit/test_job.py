@@ -198,7 +198,7 @@ def test_every_default_is_written_out():
     resolved = {"space.boundary", "space.lower", "time.cfl", "output.times", "collision.relaxation"}
     for path in ALLOWED:
         if len(path) == 2 and path[0] != "initial" and ".".join(path) not in {
-            "time.dt", "time.max_steps", "collision.exponent", "collision.method", "collision.penalise",
+            "time.dt", "time.max_steps", "collision.exponent", "collision.method", "collision.penalise", "collision.coarse",
         }:  # fmt: skip
             assert path[1] in written[path[0]], path
     for key in resolved:

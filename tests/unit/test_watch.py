@@ -58,7 +58,9 @@ def test_a_warning_once_and_again_when_it_has_grown_by_ten():
         row = {**quiet, "box_energy": share, "step": step, "time": 0.5 * step}
         said += [(step, line) for line in watched.warnings(row)]
     assert [step for step, _ in said] == [2, 5, 8]
-    assert said[0][1] == "the outermost velocities hold 0.011 of some cell's energy in step 2 at t = 1"
+    what = "the outermost velocities hold 0.011 of some cell's energy in step 2 at t = 1"
+    assert said[0][1] == f"{what}{watch._CURE}"
+    assert "wider velocity.half_width" in said[0][1] and "more velocity.points" in said[0][1]
 
 
 @pytest.mark.parametrize("conservative", [True, False])
@@ -132,7 +134,8 @@ def test_a_job_is_checked_with_what_it_will_watch(tmp_path, capsys):
     path = tmp_path / "job.toml"
     path.write_text(make_job().to_toml())
     assert main(["check", str(path), "--set", "watch.box_stop=0.05"]) == 0
-    lines = [line for line in capsys.readouterr().out.splitlines() if "warning" in line]
+    printed = capsys.readouterr().out.splitlines()
+    lines = [line for line in printed if "warning above" in line]
     assert lines[0].endswith("outermost velocities: a warning above 0.001 of a cell's gas, a stop above 0.05")
     assert lines[1].endswith("mass, momentum, energy: a warning above 1e-10, relative")
 

@@ -1,8 +1,8 @@
-"""Viscosity and thermal conductivity from decaying waves at small Knudsen number, three velocity dimensions.
+"""Viscosity and thermal conductivity from decaying waves at small Knudsen number, in the velocity dimensions given.
 
 A shear wave of transverse velocity decays at the rate mu k^2/rho; an isobaric wave of density and temperature at
-kappa k^2/(rho c_p), c_p = 5/2. For ES-BGK with tau/eps = 1/lambda at unit density: mu = Pr p lambda and
-kappa = (5/2) p lambda, so the rates are Pr lambda k^2 and lambda k^2 at unit pressure.
+kappa k^2/(rho c_p), c_p = (d + 2)/2. For ES-BGK with tau/eps = 1/lambda at unit density: mu = Pr p lambda and
+kappa = c_p p lambda, so the rates are Pr lambda k^2 and lambda k^2 at unit pressure.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ K = 2 * np.pi
 AMPLITUDE = 0.01
 
 
-def _decay(relaxation_time, cells, points, scaling, drift, prandtl, times, initial, signal):
+def _decay(relaxation_time, cells, points, scaling, drift, prandtl, half_width, times, initial, signal):
     """Mean decay rate of a signal between two times."""
     simulation = Simulation(
         build(
             space=line(cells),
-            velocity={"points": list(points), "half_width": 6.0},
+            velocity={"points": list(points), "half_width": half_width},
             scaling=scaling,
             scheme={"drift": drift},
             collision=es_bgk(relaxation_time, prandtl=prandtl),
@@ -44,23 +44,27 @@ def _amplitude(values: np.ndarray) -> float:
     return float(2 * np.mean(values * np.cos(K * x)))
 
 
-def viscosity(relaxation_time=0.01, cells=32, points=(12, 12, 12), scaling="kinetic", drift="van-leer", prandtl=2 / 3):
+def viscosity(
+    relaxation_time=0.01, cells=32, points=(12, 12, 12), scaling="kinetic", drift="van-leer", prandtl=2 / 3,
+    half_width=6.0,
+):  # fmt: skip
     """mu/(p relaxation_time) of a decaying shear wave; Chapman and Enskog: Pr."""
 
     def initial(x, y):
-        shear = AMPLITUDE * np.cos(K * x)[..., None] * np.array([0.0, 1.0, 0.0])
+        shear = AMPLITUDE * np.cos(K * x)[..., None] * np.eye(len(points))[1]
         return 1.0 + 0.0 * x, shear, 1.0
 
     rate = _decay(
-        relaxation_time, cells, points, scaling, drift, prandtl, (0.1, 0.5), initial,
+        relaxation_time, cells, points, scaling, drift, prandtl, half_width, (0.1, 0.5), initial,
         lambda moments: _amplitude(moments["velocity"][0, :, 1]),
     )  # fmt: skip
     return rate / (relaxation_time * K**2)
 
 
 def conductivity(
-    relaxation_time=0.01, cells=32, points=(12, 12, 12), scaling="kinetic", drift="van-leer", prandtl=2 / 3
-):
+    relaxation_time=0.01, cells=32, points=(12, 12, 12), scaling="kinetic", drift="van-leer", prandtl=2 / 3,
+    half_width=6.0,
+):  # fmt: skip
     """kappa/(5/2 p relaxation_time) of a decaying isobaric wave; Chapman and Enskog: 1.
 
     The start is not the pure mode and sends off sound of relative amplitude lambda k. Sound carries no entropy to this
@@ -78,6 +82,6 @@ def conductivity(
 
     period = 1.0 / np.sqrt((d + 2) / d)
     rate = _decay(
-        relaxation_time, cells, points, scaling, drift, prandtl, (0.1, 0.1 + period), initial, entropy
+        relaxation_time, cells, points, scaling, drift, prandtl, half_width, (0.1, 0.1 + period), initial, entropy
     )  # fmt: skip
     return rate / (relaxation_time * K**2)

@@ -1,0 +1,245 @@
+"""What viscosity and heat conduction are worth on a velocity grid: the tables of `rvm_mpi/accuracy_tables.py`.
+
+    python benchmarks/grid_accuracy.py               (prints them; half an hour, most of it for d = 3)
+    python benchmarks/grid_accuracy.py --write       (and writes them into the package)
+    python benchmarks/grid_accuracy.py --exponent 0  (Maxwell molecules, not hard spheres, on a few grids)
+
+The Boltzmann operator by itself, elastic, linear about the sampled Maxwellian M of unit temperature at rest: it acts
+on M (xi_x xi_y + xi_x (|xi|^2 - d - 2)), and the momentum it makes is taken out as the program's correction does. C(t)
+is what is left of stress and heat flux, t in units of the heat flux's first Sonine relaxation time. Given are
+
+    first        the initial rate, over the exact one: first Sonine approximation, inverted
+    viscosity    the integral of C over ten relaxation times, over the exact one
+    conductivity the same of the heat flux
+    residue      C of the heat flux after twenty: what never relaxes
+
+d = 1 has no shear and its elastic collisions do nothing: there e = 0.9, and the loss of energy and the initial rate of
+the heat flux are given.
+
+The drift: conductivity of ES-BGK in rescaled variables (tests/verification/navier_stokes.py) over that in classical
+ones, from a wave on 64 cells, V = 7, with so many velocities along the gradient (d = 1), and across it (d = 2, 32
+along). Errors add up: that of d dimensions is the mean over the directions, along counted three times, across once.
+The viscosity of a shear wave is beside it, over that of the finest grid.
+"""
+
+import argparse
+import sys
+import time
+from math import gamma
+from pathlib import Path
+from textwrap import wrap
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+
+from rvm_mpi.collisions.boltzmann import BoltzmannOperator
+from rvm_mpi.collisions.boltzmann_weights import SUPPORT, kernel_scale
+from rvm_mpi.kinetic_theory import dissipation_coefficient, sphere_area
+from tests.verification.navier_stokes import conductivity, viscosity
+
+MODULE = Path(__file__).resolve().parent.parent / "rvm_mpi" / "accuracy_tables.py"
+HALF_WIDTHS = {
+    1: (4.0, 4.5, 5.0, 5.5, 6.0, 6.5, 7.0, 7.5, 8.0, 8.5, 9.0, 9.5, 10.0, 10.5, 11.0, 12.0),
+    2: (4.0, 4.5, 5.0, 5.25, 5.5, 5.75, 6.0, 6.25, 6.5, 6.75, 7.0, 7.5, 8.0, 8.5, 9.0, 10.0),
+    3: (5.0, 5.5, 6.0, 6.5, 7.0, 7.5, 8.0, 9.0),
+}
+POINTS = {1: range(8, 49), 2: range(10, 49), 3: (*range(10, 29), 32)}
+#: all converged Sonine expansions: viscosity and conductivity over their first approximations
+EXACT = {(2, 1): (1.0220, 1.0297), (3, 1): (1.016034, 1.025218), (2, 0): (1.0, 1.0), (3, 0): (1.0, 1.0)}
+RESTITUTION = 0.9  # in d = 1
+END, LASTED, STEPS = 20, 10, 4  # relaxation times, and Runge-Kutta steps in each
+SPACINGS = (8, 9, 10, 11, 12, 14, 16, 18, 20, 24, 28, 32, 40, 48)  # velocities on V = 7
+DRIFTS = ("van-leer", "kappa", "seventh-order", "seventh-order-positive")
+RELAXATION, CELLS, ALONG = 0.01, 64, 32
+
+
+class Gas:
+    """Perturbed Maxwellians on grids of the same number of points and several half widths, one a row."""
+
+    def __init__(self, dimensions, points, half_widths, restitution, exponent):
+        d = self.dimensions = dimensions
+        unit = kernel_scale(d, 1.0, exponent, 1.0)
+        self.operator = BoltzmannOperator.create((points,) * d, 1.0, restitution, exponent, 1 / unit)
+        # g stands here for its nodes' shares of the mass: g times a node's volume
+        self.scale = np.array([kernel_scale(d, w, exponent, 1.0) / (2 * w / points) ** d for w in half_widths])
+        nodes = np.stack(np.meshgrid(*[(2 * np.arange(points) + 1 - points) / points] * d, indexing="ij"))
+        xi = np.array([width * nodes for width in half_widths])
+        self.axes = tuple(range(1, d + 1))
+        self.x, self.square = xi[:, 0], (xi**2).sum(1)
+        self.maxwellian = np.exp(-0.5 * self.square)
+        self.maxwellian /= self.maxwellian.sum(self.axes, keepdims=True)
+        self.stress = self.x * xi[:, -1] if d > 1 else 0.0 * self.x
+        self.flux = self.x * (self.square - d - 2)
+
+    def collide(self, g):
+        """Q(g, g)."""
+        out = np.empty_like(g)
+        self.operator.collide(g, out, self.scale)
+        return out
+
+    def linear(self, h):
+        """2 Q(M, h) for h odd in xi_x, less its momentum: the odd part of Q(M + h)."""
+        q = self.collide(self.maxwellian + h)
+        q = 0.5 * (q - np.flip(q, 1))
+        return q - self.maxwellian * self.x * self.part(q, self.x).reshape(-1, *(1,) * self.dimensions)
+
+    def part(self, h, polynomial):
+        """How much of M times this polynomial is in h: one number a grid."""
+        return (h * polynomial).sum(self.axes) / (self.maxwellian * polynomial**2).sum(self.axes)
+
+    def parts(self, h):
+        """Of the stress and of the heat flux: (2, grids)."""
+        return np.array([self.part(h, polynomial) for polynomial in (self.stress, self.flux)])
+
+
+def relaxation_rates(d, exponent):
+    """Those of stress and heat flux, b = 1, T = 1: first Sonine approximation (`kinetic_theory.py`)."""
+    moment = gamma((d + exponent + 4) / 2) / gamma(d / 2)
+    shear = 2 * sphere_area(d) * 2**exponent * moment / (d * (d + 2))
+    return np.array([shear, shear * (d - 1) / d])
+
+
+def measure_operator(d, points, exponent=1):
+    """first (2, grids), viscosity, conductivity and residue (grids,) of one number of points."""
+    gas = Gas(d, points, HALF_WIDTHS[d], 1.0, exponent)
+    rates = relaxation_rates(d, exponent)
+    dt = 1 / (STEPS * rates[1])
+    h = gas.maxwellian * (gas.stress + gas.flux)
+    h -= gas.maxwellian * gas.x * gas.part(h, gas.x).reshape(-1, *(1,) * d)
+    left, slope, lasted = gas.parts(h), gas.parts(gas.linear(h)), 0.0
+    first = -left / slope * rates[:, None]
+    for step in range(END * STEPS):
+        k1 = gas.linear(h)
+        k2 = gas.linear(h + 0.5 * dt * k1)
+        k3 = gas.linear(h + 0.5 * dt * k2)
+        k4 = gas.linear(h + dt * k3)
+        h = h + dt / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+        before, slope, left = left, gas.parts(k1), gas.parts(h)
+        if step < LASTED * STEPS:  # Hermite's rule
+            lasted = lasted + dt / 2 * (before + left) + dt**2 / 12 * (slope - gas.parts(k4))
+    over_exact = lasted * rates[:, None] / np.array(EXACT[d, exponent])[:, None]
+    return first, over_exact[0], over_exact[1], left[1]
+
+
+def measure_cooling(points):
+    """d = 1, e = 0.9: loss of energy and time in which the heat flux relaxes, not yet over the exact ones."""
+    gas = Gas(1, points, HALF_WIDTHS[1], RESTITUTION, 1.0)
+    energy = 0.5 * (gas.collide(gas.maxwellian) * gas.square).sum(1)
+    rate = gas.part(gas.linear(gas.maxwellian * gas.flux), gas.flux)
+    return -energy / ((1 - RESTITUTION**2) * dissipation_coefficient(1, 1.0)), -1 / rate
+
+
+def operator_tables(dimensions, exponent, points=POINTS):
+    """Print and return {d: {points: (viscosity or cooling, conductivity, residue or nothing)}}."""
+    tables = {}
+    for d in dimensions:
+        print(f"\nd = {d}, half widths {HALF_WIDTHS[d]}, support {np.round(SUPPORT * np.array(HALF_WIDTHS[d]), 2)}")
+        exact = measure_cooling(256)[1][-1] if d == 1 else None
+        tables[d] = {}
+        for n in points[d]:
+            begin = time.perf_counter()
+            if d == 1:
+                cooling, heat = measure_cooling(n)
+                named = {"cooling": cooling, "conductivity": heat / exact}
+                tables[d][n] = (cooling, heat / exact)
+            else:
+                first, viscosity_, conductivity_, residue = measure_operator(d, n, exponent)
+                named = {"first viscosity": first[0], "first conductivity": first[1]}
+                named |= {"viscosity": viscosity_, "conductivity": conductivity_, "residue": residue}
+                tables[d][n] = (viscosity_, conductivity_, residue)
+            print(f"{n} points, {time.perf_counter() - begin:.1f} s", flush=True)
+            for name, row in named.items():
+                print(f"  {name:<18}", " ".join(f"{value:10.4g}" for value in row), flush=True)
+    return tables
+
+
+def drift_table():
+    """Print and return {drift: (along, across)}: the conductivity over the exact one at `SPACINGS`, and viscosities."""
+    found = {}
+    exact = {d: wave(conductivity, (48,) * d, "none", "van-leer") for d in (1, 2)}
+    for drift in DRIFTS:
+        along, across, shear = [], [], []
+        lost = 3 * (1 - wave(conductivity, (ALONG,), "kinetic", drift) / exact[1])
+        for n in SPACINGS:
+            along.append(wave(conductivity, (n,), "kinetic", drift) / exact[1])
+            across.append(1 + lost - 4 * (1 - wave(conductivity, (ALONG, n), "kinetic", drift) / exact[2]))
+            shear.append(wave(viscosity, (n, n), "kinetic", drift))
+        found[drift] = along, across
+        shear = np.array(shear) / shear[-1]
+        print(f"\n{drift}: {', '.join(map(str, SPACINGS))} velocities on V = 7")
+        for name, row in (("along", along), ("across", across), ("viscosity", shear)):
+            print(f"  {name:<10}", " ".join(f"{value:8.4f}" for value in row), flush=True)
+    return found
+
+
+def wave(quantity, points, scaling, drift):
+    """Conductivity or viscosity from a wave on these velocities."""
+    return quantity(RELAXATION, CELLS, points, scaling, drift, 1.0, 7.0)
+
+
+def text_of(operator, drift):
+    """The module that holds the tables."""
+    lines = [
+        '"""What viscosity and heat conduction are worth on a velocity grid, over the exact ones, at unit temperature.',
+        "",
+        "Measured and written by `python benchmarks/grid_accuracy.py --write`, where it says what the figures are.",
+        '"""',
+        "",
+        "HALF_WIDTHS: dict[int, tuple[float, ...]] = {",
+        *(f"    {d}: {HALF_WIDTHS[d]}," for d in sorted(operator)),
+        "}",
+        '"""Half widths of the Boltzmann tables by dimensions."""',
+        "",
+        "# fmt: off",
+        "BOLTZMANN: dict[int, dict[int, tuple[tuple[float, ...], ...]]] = {",
+    ]
+    for d in sorted(operator):
+        lines.append(f"    {d}: {{")
+        for n, rows in operator[d].items():
+            lines.append(f"        {n}: (")
+            for row in rows:
+                lines += ["            (", *in_lines([f"{value:.4g}" for value in row], 16), "            ),"]
+            lines.append("        ),")
+        lines.append("    },")
+    lines += [
+        "}",
+        '"""By dimensions and points a direction: viscosity (d = 1: loss of energy), conductivity, residue (d > 1)."""',
+        "",
+        f"SPACINGS = ({', '.join(f'{14 / n:.6g}' for n in SPACINGS)})",
+        '"""Spacings of the table of the drift."""',
+        "DRIFT: dict[str, tuple[tuple[float, ...], tuple[float, ...]]] = {",
+    ]
+    for name, rows in drift.items():
+        lines.append(f'    "{name}": (')
+        for row in rows:
+            lines += ["        (", *in_lines([f"{value:.4f}" for value in row], 12), "        ),"]
+        lines.append("    ),")
+    lines += [
+        "}",
+        '"""By reconstruction: conductivity with that spacing along the gradient, and across it."""',
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def in_lines(numbers, indent):
+    """Numbers of a tuple, a few lines of them."""
+    return wrap(", ".join(numbers) + ",", 110, initial_indent=" " * indent, subsequent_indent=" " * indent)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--write", action="store_true", help=f"write the tables into {MODULE.name}")
+    parser.add_argument("--exponent", type=int, choices=(0, 1), default=1, help="of the kernel [1]; 0: a few grids")
+    options = parser.parse_args()
+    if options.exponent == 0:
+        operator_tables((2, 3), 0, {2: (16, 20, 21, 24, 32), 3: (16, 20, 21, 24)})
+        return
+    drift = drift_table()
+    operator = operator_tables((1, 2, 3), 1)
+    if options.write:
+        MODULE.write_text(text_of(operator, drift))
+
+
+if __name__ == "__main__":
+    main()
