@@ -234,8 +234,8 @@ def unresolved_sides(job: Job) -> list[str]:
         )
         lines.append(
             f"{name} (T = {temperature:g}) beside gas at T = {hottest:g}: the nodes along {' and '.join(excess)} do "
-            f"not hold its temperature there; without collisions about {50 * sum(excess.values()) / heat:.2g} % too little "
-            f"heat; {needed} points, or a smaller half_width, would do"
+            f"not hold its temperature there; without collisions about {50 * sum(excess.values()) / heat:.2g} % too "
+            f"little heat; {needed} points, or a smaller half_width, would do"
         )
     return lines
 
