@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 
 WARNED = 0.02
 """Error of viscosity, heat conduction or loss of energy from which a job is warned."""
+CURED = 0.1
+"""Error up to which another half width with the same points is spoken of as a cure."""
 REFUSED = 0.25
 """Error from which a job with the Boltzmann operator is refused without `collision.coarse`."""
 LASTED = 10.0
@@ -173,7 +175,7 @@ def _cure(job: Job, temperatures: Temperatures) -> str:
     more = next((n for n in range(least + 1, MOST_POINTS + 1) if error((n,) * d, present) <= WARNED), None)
     if more is not None:
         cures.append(f"{more} points a direction ({_short(worst((more,) * d, present), job)})")
-    if error(velocity.points, best) < 0.8 * error(velocity.points, present):
+    if error(velocity.points, best) < min(0.8 * error(velocity.points, present), CURED):
         cures.append(f"half_width {best:.3g} with these ({_short(worst(velocity.points, best), job)})")
     if more is None and error(velocity.points, best) > WARNED:
         grids = ((n, min(widths, key=lambda width: error((n,) * d, width))) for n in range(8, MOST_POINTS + 1))
