@@ -38,7 +38,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     log: Path | None = None
     terminal.prepare()
     try:
-        options = _parser().parse_args(arguments)
+        try:
+            options = _parser().parse_args(arguments)
+        except BrokenPipeError:  # the reader of --help has gone
+            return 0
         if options.command == "run":
             log = _output(options) / "run.log"
         return int(options.function(options))

@@ -23,7 +23,8 @@ _MPI = (
 """Variables that hold rank and size: Open MPI's, MVAPICH's, and those of MPICH's, Intel's and other launchers."""
 _WIRING = ("PMI_", "PMI2_", "PMIX_", "PALS_")
 """Beginnings of the variables by which MPI finds the other processes."""
-_STEP = "SLURM_STEP_ID"
+_STEPS = ("SLURM_STEP_ID", "SLURM_STEPID")
+_STEP = _STEPS[0]
 """Set in each task that srun starts; in a batch script and in salloc's shell there is none, or one of these:"""
 _NO_STEP = 0xFFFFFF00
 """From here on the numbers of steps that are no srun's: batch script, interactive shell, extern."""
@@ -78,9 +79,11 @@ def check_world() -> None:
     import mpi4py
 
     launch = launched()
-    unwired = "SLURM_STEPID" in os.environ and not any(name.startswith(_WIRING) for name in os.environ)
+    unwired = any(name in os.environ for name in _STEPS)
+    unwired = unwired and not any(name.startswith(_WIRING) for name in os.environ)
     if unwired and launch.size == 1:
-        del os.environ["SLURM_STEPID"]  # Open MPI 4 would look for SLURM's PMI, and end where there is none
+        for name in _STEPS:  # by which Open MPI 4 would look for SLURM's PMI, and end where there is none
+            os.environ.pop(name, None)
     elif unwired:
         mpi4py.rc.initialize, mpi4py.rc.finalize = False, True
     from mpi4py import MPI
