@@ -21,6 +21,8 @@ stop() { # the signal that mpirun gets
 trap 'stop "${asked:-USR1}"; asked=TERM' INT
 trap 'stop USR1' TERM HUP USR1
 
+export RVM_MPIRUN=$0 # for the line that says how to go on
+
 # a session of its own: Ctrl-C goes to all processes of a terminal
 mpirun=${MPIRUN:-$(command -v mpirun.openmpi || echo mpirun)}
 setsid "$mpirun" "$@" </dev/null &

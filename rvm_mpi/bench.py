@@ -18,6 +18,7 @@ from rvm_mpi.domain import aligned
 from rvm_mpi.job import Job
 from rvm_mpi.kernels import kernel
 from rvm_mpi.simd import load, splat, store, total
+from rvm_mpi.terminal import answer
 
 #: doubles of each of the triad's three arrays: far more than a core's share of any cache
 TRIAD_SIZE = 16_000_000
@@ -92,7 +93,7 @@ def run_bench(cells: tuple[int, ...] = (64, 64), velocity: tuple[int, ...] = (24
     """
     result, rank = measure(tuple(cells), tuple(velocity))
     if rank == 0:
-        print(json.dumps(asdict(result)) if as_json else _lines(result), flush=True)
+        answer(json.dumps(asdict(result)) if as_json else _lines(result))
     return 0
 
 

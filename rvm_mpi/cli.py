@@ -7,16 +7,15 @@ once.
 from __future__ import annotations
 
 import argparse
-import os
 import re
-import sys
 from collections.abc import Iterator, Sequence
 from math import inf, isnan, nan, prod
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
-from rvm_mpi import __version__, failures
-from rvm_mpi.job_text import JobError
+from rvm_mpi import __version__, failures, terminal
+from rvm_mpi.job_text import JobError, one_line
+from rvm_mpi.launch import check_world, launched
 
 if TYPE_CHECKING:
     from rvm_mpi.job import Job
@@ -37,8 +36,12 @@ class _Parser(argparse.ArgumentParser):
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command; returns its exit status (0, 1, 2, 3 or 75)."""
     log: Path | None = None
+    terminal.prepare()
     try:
-        options = _parser().parse_args(arguments)
+        try:
+            options = _parser().parse_args(arguments)
+        except BrokenPipeError:  # the reader of --help has gone
+            return 0
         if options.command == "run":
             log = _output(options) / "run.log"
         return int(options.function(options))
@@ -46,12 +49,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return failures.refuse(error)
     except KeyboardInterrupt:
         return failures.interrupted()
-    except BrokenPipeError:
-        # a reader such as `head` has seen enough; keep Python from complaining when it flushes at exit
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return failures.FAILED
     except Exception as error:
         return failures.fail(error, log)
+    finally:
+        terminal.flush()  # --help leaves its text to the end of the program
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -164,7 +165,7 @@ def _run(options: argparse.Namespace) -> int:
     from rvm_mpi import rundir
     from rvm_mpi.accuracy import check_grid
     from rvm_mpi.domain import partition
-    from rvm_mpi.estimates import check_box, check_weights
+    from rvm_mpi.estimates import check_box, check_start, check_weights
     from rvm_mpi.job import Job
 
     job = Job.from_file(options.job, options.set)
@@ -172,10 +173,12 @@ def _run(options: argparse.Namespace) -> int:
     rundir.check(output, options.restart, options.overwrite)
     if options.restart:
         rundir.check_restart(output, job)
-    partition(job.space.cells, failures.launched_size())
     check_box(job)
     check_grid(job)
     check_weights(job)
+    check_start(job)
+    check_world()
+    partition(job.space.cells, launched().size)
 
     from rvm_mpi.simulation import run_job
 
@@ -200,23 +203,23 @@ def _check(options: argparse.Namespace) -> int:
     lines: list[str] = []
     if options.job is not None:
         from rvm_mpi.accuracy import check_grid
-        from rvm_mpi.estimates import check_box, check_weights
+        from rvm_mpi.estimates import check_box, check_start, check_weights
         from rvm_mpi.job import Job
 
         job = Job.from_file(options.job, options.set)
         check_box(job)
         check_grid(job)
         check_weights(job)
-        lines += _check_lines(job, options.job, options.ranks or failures.launched_size())
+        check_start(job)
+        lines += _check_lines(job, options.job, options.ranks or launched().size)
     if options.states:
         lines += [*([""] if lines else []), *describe_states()]
-    if failures.launched_rank() == 0:
-        print("\n".join(lines), flush=True)
+    terminal.answer("\n".join(lines))
     return 0
 
 
 def _check_lines(job: Job, file: str, ranks: int) -> Iterator[str]:
-    yield f"{file}: valid" + (f' ("{job.title}")' if job.title else "")
+    yield f"{file}: valid" + (f' ("{one_line(job.title)}")' if job.title else "")
     yield ""
     yield from _grid_lines(job, ranks)
     yield from _step_lines(job, ranks)
@@ -350,8 +353,7 @@ def _info(options: argparse.Namespace) -> int:
     path = options.directory
     if not path.is_dir() or not rundir.holds_run(path):
         raise JobError(f"{path}: {'holds no run' if path.is_dir() else 'no such directory'}")
-    if failures.launched_rank() == 0:
-        print("\n".join(describe_run(path)), flush=True)
+    terminal.answer("\n".join(describe_run(path)))
     return 0
 
 
@@ -359,12 +361,12 @@ def _compare(options: argparse.Namespace) -> int:
     from rvm_mpi.compare import compare_paths
 
     same, lines = compare_paths(options.a, options.b, options.tolerance)
-    if failures.launched_rank() == 0:
-        print("\n".join(lines), flush=True)
+    terminal.answer("\n".join(lines))
     return 0 if same else 1
 
 
 def _bench(options: argparse.Namespace) -> int:
     from rvm_mpi.bench import run_bench
 
+    check_world()
     return run_bench(cells=tuple(options.cells), velocity=tuple(options.velocity), as_json=options.json)

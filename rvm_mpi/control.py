@@ -18,7 +18,8 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from rvm_mpi.domain import Domain
 
-SIGNALS = (signal.SIGTERM, signal.SIGINT, signal.SIGUSR1)
+SIGNALS = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP, signal.SIGUSR1, signal.SIGUSR2, signal.SIGXCPU)
+"""End a run with a checkpoint: the last one says that a limit of processor time is near."""
 STOP_FILE = "stop"
 #: seconds between looks at the stop file
 LOOK_EVERY = 0.5
@@ -74,12 +75,13 @@ class Control:
         self._longest = self._cost = 0.0
 
     def __enter__(self) -> Control:
-        from petsc4py import PETSc  # noqa: F401  it installs handlers of its own when first imported: before these
-
-        if threading.current_thread() is threading.main_thread():
-            for number in SIGNALS:
-                self._before[number] = signal.signal(number, self._note)
-                signal.siginterrupt(number, False)  # a signal must not cut a write short either
+        if threading.current_thread() is not threading.main_thread():
+            return self
+        for number in SIGNALS:
+            if number == signal.SIGHUP and signal.getsignal(number) == signal.SIG_IGN:
+                continue  # nohup: the run is to outlive its terminal
+            self._before[number] = signal.signal(number, self._note)
+            signal.siginterrupt(number, False)  # a signal must not cut a write short either
         return self
 
     def __exit__(self, *_: object) -> None:

@@ -7,6 +7,7 @@ no index has to number the unknowns of the whole phase space.
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -26,6 +27,17 @@ FEWEST_CELLS = 3
 #: in a cell's work: the fluxes of a ghost cell with the strips of both its sides, and what more a border between ranks
 #: costs than one within a rank; strips along x cost what those along y do (docs/scaling.md)
 SIDE, BORDER = 1.0, 0.5
+
+
+def _petsc() -> Any:
+    """PETSc, started if nobody has: without its signal handlers, which end a program where a pipe's reader leaves."""
+    import petsc4py
+
+    if "petsc4py.PETSc" not in sys.modules:
+        petsc4py.init(["rvm", "-no_signal_handler"])
+    from petsc4py import PETSc
+
+    return PETSc
 
 
 def largest_ranks(cells: tuple[int, ...]) -> int:
@@ -127,8 +139,8 @@ class Domain:
 
     def __init__(self, job: Job, comm: Any = None) -> None:
         from mpi4py import MPI
-        from petsc4py import PETSc
 
+        PETSc = _petsc()
         given = MPI.COMM_WORLD if comm is None else comm
         self.size, self._launched = given.Get_size(), given.Get_rank()
         cells = tuple(job.space.cells)

@@ -57,6 +57,8 @@ MAKING_WEIGHTS = 8
 """Memory that making the Boltzmann operator's weights takes for a moment, over that of the weights."""
 STANDARD_DEVIATIONS = 3.0
 """A box must hold the state this many thermal speeds around its mean velocity: one in 400 lies outside."""
+COLLAPSED = 1e-12
+"""A step shorter than this part of the end time leads nowhere."""
 ROWS_AT_ONCE = 2**18
 """Cells whose initial state is looked at together, so that large grids need little memory here."""
 
@@ -451,6 +453,37 @@ def first_step(job: Job) -> FirstStep:
         growth_rate=float(growth.max()),
         cooling_rate=cooling,
         later=later,
+    )
+
+
+def check_start(job: Job) -> None:
+    """Refuse a job whose first step leads nowhere, as the run would.
+
+    Raises
+    ------
+    JobError
+        Naming what limits the step, and what would do.
+    """
+    with np.errstate(over="ignore"):
+        first = first_step(job)
+        if job.collision.operator == "boltzmann":
+            start = start_fields(job)
+            rates = collision_frequency(job, start.density, start.temperature) + fastest_rate(
+                job, start.density, start.omega
+            )
+            if not np.isfinite(rates).all():
+                raise JobError(f"{job.name}: collision.knudsen: too small: the collision rate overflows")
+    if first.dt >= COLLAPSED * job.time.end:
+        return
+    cures = {
+        "time.dt": "take a longer one",
+        "cooling": "take a larger collision.knudsen, a collision.restitution nearer to 1, or an earlier time.end",
+        "collisions": "take a larger collision.knudsen, or collision.penalise = true, or an earlier time.end",
+    }
+    cure = next((text for name, text in cures.items() if first.limit.startswith(name)), "take an earlier time.end")
+    raise JobError(
+        f"{job.name}: the first time step would be {first.dt:.3g} long, limited by {first.limit}: too short ever to "
+        f"reach time.end = {job.time.end:g} (allowed at least {COLLAPSED:g} of it); {cure}"
     )
 
 

@@ -1,7 +1,7 @@
 """How a command ends when it cannot go on: one line, on every rank at once, with the right exit status.
 
-Until MPI is started ranks know each other only through the launcher: it ends the job when one process fails,
-so rank 0 speaks and leaves, and the others wait to be ended; one that is still there after that speaks for
+Until MPI is started ranks know each other only through the launcher (`launch.py`): it ends the job when one process
+fails, so rank 0 speaks and leaves, and the others wait to be ended; one that is still there after that speaks for
 itself.
 """
 
@@ -15,33 +15,15 @@ from pathlib import Path
 from typing import Any
 
 from rvm_mpi.job_text import JobError, one_line
+from rvm_mpi.launch import LaunchError, launched
+from rvm_mpi.rundir import ENDED
+from rvm_mpi.terminal import tell
 
 REFUSED = 2
 FAILED = 3
 INTERRUPTED = 130  # as a shell has it for Ctrl-C
 PATIENCE = 1.5
 """Seconds that a rank other than 0 leaves to rank 0 to say what is wrong for all."""
-
-_RANK = ("OMPI_COMM_WORLD_RANK", "PMIX_RANK", "PMI_RANK", "MV2_COMM_WORLD_RANK", "SLURM_PROCID")
-_SIZE = ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "MV2_COMM_WORLD_SIZE")
-
-
-def _environment(names: tuple[str, ...], default: int) -> int:
-    for name in names:
-        if os.environ.get(name, "").isdecimal():
-            return int(os.environ[name])
-    return default
-
-
-def launched_rank() -> int:
-    """Rank of the process as its launcher tells it, without MPI; 0 when started alone."""
-    return _environment(_RANK, 0)
-
-
-def launched_size() -> int:
-    """The number of ranks as their launcher tells it, without MPI; 1 where it does not."""
-    return _environment(_SIZE, 1)
-
 
 def _communicator() -> Any:
     """The world communicator if MPI runs and has more than one rank, else None."""
@@ -51,23 +33,17 @@ def _communicator() -> Any:
     return mpi.COMM_WORLD
 
 
-def _say(line: str) -> None:
-    try:
-        sys.stdout.flush()
-        sys.stderr.write(line + "\n")
-        sys.stderr.flush()
-    except OSError:  # nobody listens any more; the exit status still tells
-        pass
-
-
 def refuse(error: JobError) -> int:
     """End a wrong request: one line, from rank 0 unless only another rank saw it; returns exit status 2."""
-    rank, communicator = launched_rank(), _communicator()
+    rank, communicator = launched().rank, _communicator()
     if communicator is not None:
         rank = communicator.Get_rank()
     if rank > 0:
         time.sleep(PATIENCE)
-    _say(f"rvm: {error}" if rank == 0 else f"rvm: rank {rank}: {error}")
+    if rank == 0:
+        tell(f"rvm: {error}")
+    elif not isinstance(error, LaunchError):
+        tell(f"rvm: rank {rank}: {error}")
     if communicator is not None:
         communicator.Abort(REFUSED)
     return REFUSED
@@ -75,8 +51,8 @@ def refuse(error: JobError) -> int:
 
 def interrupted() -> int:
     """End after Ctrl-C outside a run, which would take it as a wish to stop: one line; returns exit status 130."""
-    if launched_rank() == 0:
-        _say("rvm: interrupted")
+    if launched().rank == 0:
+        tell("rvm: interrupted")
     communicator = _communicator()
     if communicator is not None:
         communicator.Abort(INTERRUPTED)
@@ -96,17 +72,18 @@ def fail(error: BaseException, log: Path | None = None) -> int:
         prints it too.
     """
     communicator = _communicator()
-    rank = communicator.Get_rank() if communicator is not None else launched_rank()
+    rank = communicator.Get_rank() if communicator is not None else launched().rank
     details = "".join(traceback.format_exception(type(error), error, error.__traceback__))
+    what = f"rank {rank}: {type(error).__name__}: {one_line(' '.join(str(error).split()))}"
     if log is not None and log.is_file():
         try:
-            with log.open("a", encoding="utf-8") as file:
-                file.write(f"rank {rank} failed:\n{details}")
+            with log.open("a", encoding="utf-8", errors="replace") as file:
+                file.write(f"rank {rank} failed:\n{details}{ENDED}failed: {what}\n")
         except OSError:  # the disk may be what failed
             pass
     if os.environ.get("RVM_DEBUG", "0") not in ("", "0"):
-        _say(details.rstrip())
-    _say(f"rvm: rank {rank}: {type(error).__name__}: {one_line(' '.join(str(error).split()))}")
+        tell(details.rstrip())
+    tell(f"rvm: {what}")
     if communicator is not None:
         communicator.Abort(FAILED)
     return FAILED

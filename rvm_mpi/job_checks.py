@@ -72,7 +72,9 @@ def resolve(job: Job) -> Job:
 
 
 def _check_choices(job: Job) -> None:
-    """Choices that exclude each other."""
+    """Choices that exclude each other, and what the results could not hold."""
+    if "\0" in job.title:
+        raise KeyProblem("title", "holds the character \\u0000", job.title, "any other text")
     kind = job.scaling.kind
     if job.scaling.synchronise != 0.0 and kind != "macroscopic":
         raise KeyProblem(

@@ -129,6 +129,11 @@ def parse_toml(text: str, name: str) -> dict[str, Any]:
 
 def apply_override(tables: dict[str, Any], override: str) -> str:
     """Set one key of the tables from ``KEY=VALUE``, the value in TOML syntax; returns the key."""
+    if any("\ud800" <= c <= "\udfff" for c in override):  # bytes that the locale does not know
+        try:
+            override = os.fsencode(override).decode()
+        except UnicodeError:
+            raise JobError(f"--set {override}: not UTF-8 text") from None
     key, equals, text = override.partition("=")
     key = key.strip()
     if not equals or not re.fullmatch(r"[A-Za-z0-9_-]+(\.[A-Za-z0-9_-]+)*", key):

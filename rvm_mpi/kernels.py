@@ -56,6 +56,10 @@ from numba.core.typed_passes import NativeLowering
 from numba.extending import _Intrinsic, models, register_model
 
 from rvm_mpi.cache import cache_directory, write_whole
+from rvm_mpi.job_text import JobError
+
+if numba.config.DISABLE_JIT:
+    raise JobError("NUMBA_DISABLE_JIT is set (environment or .numba_config.yaml): kernels must be compiled; unset it")
 
 #: directories of kernels that are kept: of the last sources and processors in use, some MB each
 KEPT = 20

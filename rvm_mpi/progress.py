@@ -95,7 +95,7 @@ class Progress:
             return
         speed = self._speed() if cells_per_second is None else cells_per_second
         state = (
-            f"dt = {dt:.3g}, {_duration(self._time_left())} left, mass error {mass_error:.1e}, "
+            f"dt = {dt:.3g}, {duration(self._time_left())} left, mass error {mass_error:.1e}, "
             f"min g {min_g:.1e}, T {temperature_range[0]:.3g} to {temperature_range[1]:.3g}, "
             f"{_count(speed)} cells/s"
         )
@@ -118,7 +118,7 @@ class Progress:
         steps = self._step - self._first_step
         rate = self._cells * steps * self._stages / elapsed
         line = (
-            f"{steps} steps to t = {self._time:g} in {_duration(elapsed)}: {_count(rate)} phase-space cell "
+            f"{steps} steps to t = {self._time:g} in {duration(elapsed)}: {_count(rate)} phase-space cell "
             f"stages per second, {_count(rate / self._ranks)} per core on {self._ranks}"
         )
         if self._bar is not None:
@@ -147,7 +147,7 @@ class Progress:
         return max(left, 0.0)
 
 
-def _duration(seconds: float) -> str:
+def duration(seconds: float) -> str:
     """Such as "7.3 s", "4:05 min" or "12:04 h"."""
     if not isfinite(seconds):
         return "unknown time"

@@ -17,12 +17,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rvm_mpi.job_text import JobError
+from rvm_mpi.terminal import tell
 
 if TYPE_CHECKING:
     from rvm_mpi.job import Job
 
 MARKS = ("job.toml", "fields.h5", "history.csv", "run.log")
 """Files that tell a run directory; checkpoints do too."""
+ENDED = "ended: "
+"""Beginning of the last line of `run.log`, which says how a run has ended; a killed one has none."""
 MAY_CHANGE = {"title", "time", "output", "watch"}
 """Tables that a restarted job may have changed: how far a run goes, what it stores and what it watches."""
 
@@ -167,10 +170,19 @@ class Log:
         if self._file is None:
             return
         try:
-            self._file.write(text.encode())
+            self._file.write(text.encode(errors="replace"))
         except OSError as error:
             self.close()
-            print(f"rvm: {self._path} cannot be written: {error.strerror}; going on", file=sys.stderr, flush=True)
+            tell(f"rvm: {self._path} cannot be written: {error.strerror}; going on")
+
+    @staticmethod
+    def note_end(directory: Path, how: str) -> None:
+        """Write a run's last line where its log is not open, if it has one."""
+        path = directory / "run.log"
+        with contextlib.suppress(OSError):
+            if path.is_file():
+                with path.open("ab", buffering=0) as file:
+                    file.write(f"{ENDED}{how}\n".encode(errors="replace"))
 
     def flush(self) -> None:
         """Nothing is held back."""

@@ -2,18 +2,31 @@
 
 from __future__ import annotations
 
+import contextlib
+import re
+import time as clock
 from collections.abc import Iterator
+from datetime import datetime
 from pathlib import Path
 
 import numpy as np
 
 from rvm_mpi import rundir
 from rvm_mpi.job import Job, JobError
+from rvm_mpi.job_text import one_line
+from rvm_mpi.progress import duration
+from rvm_mpi.results import stores_fluid
 
 SHOWN_ATTRIBUTES = (
     "version", "git_commit", "started", "ranks", "machine", "python", "numpy", "numba", "mpi4py", "petsc4py",
     "h5py", "mpi", "petsc", "hdf5",
 )  # fmt: skip
+
+
+BEGUN, STARTED = "version: ", "started: "
+"""First line of what a run writes into its log, and the one with its time."""
+QUIET, PACE = 60.0, 10.0
+"""A run is not taken for dead for so many seconds and so many of its steps' lengths."""
 
 
 def describe_run(path: Path) -> Iterator[str]:
@@ -24,6 +37,7 @@ def describe_run(path: Path) -> Iterator[str]:
         yield _row("job", _job(job))
     except JobError as error:
         yield _row("job", str(error))
+    yield _row("state", _state(path))
     yield from _history_lines(path, job)
     yield from _field_lines(path)
     names = [p.name for p in rundir.checkpoints(path)]
@@ -34,7 +48,34 @@ def describe_run(path: Path) -> Iterator[str]:
 
 
 def _row(name: str, text: str) -> str:
-    return f"{name:<14}{text}"
+    return one_line(f"{name:<14}{text}")
+
+
+def _state(path: Path) -> str:
+    """How the run ended, by the last line of `run.log`; without one it was killed, unless it still runs."""
+    try:
+        text = "\n" + (path / "run.log").read_text(encoding="utf-8", errors="replace")
+    except OSError:
+        return "unknown: it has no run.log"
+    _before, found, last = text.rpartition(f"\n{BEGUN}")  # the last of the runs that went on here
+    ends = [line for line in last.splitlines() if line.startswith(rundir.ENDED)]
+    if ends:
+        return ends[-1].removeprefix(rundir.ENDED)
+    start = re.search(rf"^{STARTED}(.+)$", last, re.MULTILINE) if found else None
+    quiet, usual = _silence(path, start[1] if start else "")
+    if quiet > usual:
+        return f"killed, or stands still: it has said no end, and written nothing for {duration(quiet)}"
+    return f"running, or just killed: it has said no end, and last wrote something {duration(quiet)} ago"
+
+
+def _silence(path: Path, started: str) -> tuple[float, float]:
+    """Seconds since something was written in the run directory, and for how long that is usual at the run's pace."""
+    times = [file.stat().st_mtime for name in rundir.MARKS if (file := path / name).exists()]
+    with contextlib.suppress(OSError):
+        rows = (path / "history.csv").read_bytes().count(b"\n")
+        begin = datetime.fromisoformat(started).timestamp() if started else max(times)
+        return clock.time() - max(times), QUIET + PACE * max(max(times) - begin, 0.0) / max(rows, 1)
+    return 0.0, QUIET
 
 
 def _job(job: Job) -> str:
@@ -62,12 +103,14 @@ def _history_lines(path: Path, job: Job | None) -> Iterator[str]:
     time, step = float(history["time"][-1]), int(history["step"][-1])
     end = f" of {job.time.end:g} ({100 * time / job.time.end:.1f} %)" if job else ""
     yield _row("progress", f"step {step}, t = {time:.6g}{end}")
-    yield _row("health", _health(history))
+    yield _row("health", _health(history, job))
 
 
-def _health(history: dict[str, np.ndarray]) -> str:
+def _health(history: dict[str, np.ndarray], job: Job | None) -> str:
     """The worst of what the history records."""
-    broken = [name for name, values in history.items() if np.isinf(values).any() or np.isnan(values[-1])]
+    broken = [name for name, values in history.items() if not np.isfinite(values).all()]
+    if job is None or not stores_fluid(job):  # its columns are then empty
+        broken = [name for name in broken if not (name.startswith("fluid_") and np.isnan(history[name]).all())]
     words = [f"not a number in {', '.join(broken)}"] if broken else ["all numbers finite"]
     if "mass_error" in history:
         words.append(f"mass error {np.nanmax(np.abs(history['mass_error'])):.1e}")

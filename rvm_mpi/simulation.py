@@ -10,7 +10,7 @@ is one time step each; `run_job` is the same loop with a run directory around it
 from __future__ import annotations
 
 import math
-import shlex
+import os
 import sys
 import time as clock
 from collections.abc import Callable, Iterator
@@ -25,23 +25,22 @@ from rvm_mpi.accuracy import GridWatch
 from rvm_mpi.checkpoint import Checkpoint
 from rvm_mpi.control import Control
 from rvm_mpi.domain import Domain
-from rvm_mpi.estimates import check_sides, stretched_time
+from rvm_mpi.estimates import COLLAPSED, check_sides, stretched_time
 from rvm_mpi.exact_sum import exact_sums
-from rvm_mpi.failures import launched_rank
 from rvm_mpi.fluid import FluidSystem
 from rvm_mpi.fluid.euler import PositivityLost
 from rvm_mpi.job import Job, JobError
+from rvm_mpi.launch import LaunchError, again, launched
 from rvm_mpi.results import DiskFailure
 from rvm_mpi.states import macroscopic_state
 from rvm_mpi.stepping import KineticStepper, NumericalFailure, StepReport
+from rvm_mpi.terminal import tell
 from rvm_mpi.watch import Watch
 
 #: a step may pass the Courant number by this factor before it is taken again, shorter
 SLACK = 1.02
 #: largest relative change of a cell's energy by dissipation in one step
 COOLING_CHANGE = 0.1
-#: a step shorter than this part of the end time leads nowhere
-COLLAPSED = 1e-12
 #: the fluid's own Courant number, up to which it keeps density and temperature positive
 FLUID_CFL = 0.5
 
@@ -283,13 +282,13 @@ class Simulation:
     # -- what can be asked of the state ----------------------------------------------------------------
 
     def moments(self) -> dict[str, np.ndarray]:
-        """density, velocity, temperature, stress and heat_flux of f on this rank's cells (ny, nx, ...)."""
+        """density, velocity, temperature, stress and heat_flux of f on this rank's cells (ny, nx, ...), copies."""
         return self.kinetic.fields()
 
     def snapshot(self) -> dict[str, np.ndarray]:
-        """The datasets of `fields.h5` on this rank's cells."""
+        """The datasets of `fields.h5` on this rank's cells; the arrays are the caller's own."""
         fields = {f"kinetic/{name}": values for name, values in self.kinetic.fields().items()}
-        fields["scaling/omega"] = self.kinetic.omega
+        fields["scaling/omega"] = self.kinetic.omega.copy()
         if self.fluid is not None:
             density, velocity, temperature = self.fluid.moments()
             fields.update({"fluid/density": density, "fluid/velocity": velocity, "fluid/temperature": temperature})
@@ -491,20 +490,36 @@ def run_job(
         On every rank, before anything is written.
     """
     rundir.check(output, restart, overwrite)
-    if not quiet and launched_rank() == 0 and not _compiled_before():
-        print("compiling the kernels, kept for the next run: some seconds", file=sys.stderr, flush=True)
+    _check_same_on_all_ranks(job, output, restart, overwrite)
+    if not quiet and launched().rank == 0 and not _compiled_before():
+        tell("compiling the kernels, kept for the next run: some seconds")
     with Control(output, walltime, job.output.checkpoint_every) as control:
         simulation, lines = _resumed(job, output) if restart else (Simulation(job), [])
         try:
             opened = Run(simulation, output, restart, overwrite, quiet)
         except DiskFailure as error:  # on every rank
             if simulation.domain.rank == 0:
-                print(f"rvm: {job.name}: {error}", file=sys.stderr, flush=True)
+                tell(f"rvm: {job.name}: {error}")
+                rundir.Log.note_end(output, f"failed: {error}")
             return 3
         with opened as run:
             for line in lines:
                 run.say(line)
             return run.go(control)
+
+
+def _check_same_on_all_ranks(job: Job, output: Path, restart: bool, overwrite: bool) -> None:
+    """LaunchError on every rank if they were given different runs, as the tasks of a farm are."""
+    from mpi4py import MPI
+
+    mine = (job.to_toml(), os.fspath(output), restart, overwrite)
+    first = MPI.COMM_WORLD.bcast(mine)
+    for rank, same in enumerate(MPI.COMM_WORLD.allgather(mine == first)):
+        if not same:
+            raise LaunchError(
+                f"{job.name}: rank {rank} was given another job, directory or option than rank 0: the ranks of one run "
+                "get the same, runs of their own are started one by one"
+            )
 
 
 def _compiled_before() -> bool:
@@ -615,7 +630,7 @@ class Run:
         if self.log is not None:
             self.log.write(line + "\n")
         if failure or not self.quiet:
-            print(line, file=sys.stderr, flush=True)
+            tell(line)
 
     def _wall_layout(self) -> dict[str, Any]:
         from rvm_mpi.results import Layout
@@ -680,24 +695,34 @@ class Run:
                 if self.saved != sim.number:
                     self.save()
         except NumericalFailure as error:
-            self.say(f"rvm: {sim.job.name}: {error}{self._last_healthy()}{self.examine(error)}", failure=True)
-            return 3
+            return self._failed(f"{error}{self._last_healthy()}{self.examine(error)}")
         except DiskFailure as error:
-            self.say(f"rvm: {sim.job.name}: {error}{self._last_checkpoint()}", failure=True)
-            return 3
+            return self._failed(f"{error}{self._last_checkpoint()}")
         if progress is not None:
             progress.close()
-        if stopped:
-            if self.head:
-                control.forget_stop_file()
-            again = ["mpirun", "-n", str(self.comm.size)] if self.comm.size > 1 else []
-            again += ["rvm", "run", str(self.output / "job.toml"), "--output", str(self.output), "--restart"]
-            self.say(
-                f"rvm: {sim.job.name}: stopped by {stopped} after step {sim.number} at t = {sim.time:.6g}, with a "
-                f"checkpoint; go on with: {shlex.join(again)}"
+        if not stopped:
+            self._note_end(f"done: step {sim.number}, t = {sim.time:.6g}")
+            return 0
+        if self.head:
+            control.forget_stop_file()
+            command = ["run", os.fspath(self.output / "job.toml"), "--output", os.fspath(self.output), "--restart"]
+            said = (
+                f"stopped by {stopped} after step {sim.number} at t = {sim.time:.6g}, with a checkpoint; "
+                f"go on with: {again(command, self.comm.size)}"
             )
-            return 75
-        return 0
+            self.say(f"rvm: {sim.job.name}: {said}")
+            self._note_end(said)
+        return 75
+
+    def _failed(self, what: str) -> int:
+        """Say why the run ends here; the exit status."""
+        self.say(f"rvm: {self.simulation.job.name}: {what}", failure=True)
+        self._note_end(f"failed: {what}")
+        return 3
+
+    def _note_end(self, how: str) -> None:
+        if self.log is not None:
+            self.log.write(f"{rundir.ENDED}{how}\n")
 
     def _last_checkpoint(self) -> str:
         return "" if self.saved is None else f"; the checkpoint of step {self.saved} is there for --restart"
@@ -740,13 +765,11 @@ class Run:
         """
         sim = self.simulation
         self.save()
-        self.say(
-            f"rvm: {sim.job.name}: stopped after step {sim.number} at t = {sim.time:.6g}: "
+        return self._failed(
+            f"stopped after step {sim.number} at t = {sim.time:.6g}: "
             f"{self.watch.reason_to_stop(sim.diagnostics.row)}{self._last_checkpoint()} with another watch.box_stop; "
-            "a wider velocity.half_width, with as many more velocity.points, needs a new run",
-            failure=True,
+            "a wider velocity.half_width, with as many more velocity.points, needs a new run"
         )
-        return 3
 
     def save(self) -> None:
         """Write a checkpoint, once all that was written before it is on disk."""

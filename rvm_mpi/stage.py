@@ -33,6 +33,9 @@ DIAGNOSTICS = 11
 WEST, EAST, NORTH, RATE, WANTED, TARGET, RESULT, BEFORE, CENTRE, TENSOR, FITTED = range(11)
 #: what STATUS says
 HEALTHY, TOO_COLD_FOR_GRID, NO_GAUSSIAN, NO_CORRECTION, NOT_POSITIVE, NOT_A_NUMBER = range(6)
+#: greatest depth dt tau/eps of a relaxation. A deeper one differs from the limit eps -> 0 by less than 1/DEEPEST, but 1
+#: beside its square is lost to rounding, and the explicit part with it
+DEEPEST = 1e12
 
 
 class Grid(NamedTuple):
@@ -778,6 +781,8 @@ def advance(  # type: ignore[no-untyped-def]
         before = relaxation_rate(model, density, temperature)
         after = relaxation_rate(model, wanted[0] * grid.weight, temperature_new * omega_new * omega_new)
         z = 0.5 * dt * (before + after)
+        if z > DEEPEST:
+            z = DEEPEST
         depth[j, i] = z
     weight_last = 0.5 * z * z if second else z
     whole = 1.0 + z + weight_last if second else 1.0 + z

@@ -223,6 +223,7 @@ class KineticStepper:
         self._operator = _operator(job, domain)
         self._source = np.zeros((ny, nx, self.grid.block)) if self._operator else np.zeros((0, 0, 0))
         self._heating, self._penalty = np.zeros((ny, nx)), np.zeros((ny, nx))
+        self._slowing = np.ones((ny, nx))
         self.last = Sweep(False, self.g, self._other, self.now, self._middle)
         if domain.rank % 2 == 0:
             self._run_sweep.prepare(*self._sweep_arguments(0.0))  # odd ranks compile the other kernels meanwhile
@@ -465,7 +466,7 @@ class KineticStepper:
         assert self._operator is not None and collision.knudsen is not None and collision.exponent is not None
         ny, nx = self._heating.shape
         wy, wx = self.domain.ghosts(GHOSTS)
-        scale = self._interior(cells.omega) ** collision.exponent / collision.knudsen
+        scale = self._interior(cells.omega) ** collision.exponent / collision.knudsen * self._slowing
         values = grid.unpack(g[wy : wy + ny, wx : wx + nx]).reshape(ny, nx, *self.job.velocity.points)
         source = grid.unpack(self._source).reshape(values.shape)  # both are views
         self._operator.collide(values, source, scale)
@@ -483,11 +484,14 @@ class KineticStepper:
         """The rate of the relaxation that is taken off the operator and put back implicitly, for the coming step.
 
         Half of the fastest rate of the operator, so that what is left grows in no mode; the mean rate at the least.
+        Where that is deeper than `stage.DEEPEST` operator and relaxation are slowed alike: it is the limit already.
         """
         state, temperature = self.macroscopic()
         density = state[..., 0]
         mean = collision_frequency(self.job, density, temperature)
-        self._penalty[...] = np.maximum(mean, 0.5 * fastest_rate(self.job, density, self.omega))
+        rate = np.maximum(mean, 0.5 * fastest_rate(self.job, density, self.omega))
+        self._penalty[...] = np.minimum(rate, stage.DEEPEST / dt) if dt > 0.0 else rate
+        self._slowing[...] = self._penalty / rate
         self._depth[...] = dt * self._penalty
 
     @property

@@ -1,5 +1,9 @@
 """`rvm info` on whatever a run can leave behind: it never fails, it says what is missing."""
 
+import os
+import time
+from datetime import datetime, timezone
+
 import numpy as np
 
 from rvm_mpi import rundir
@@ -55,6 +59,37 @@ def test_a_run_half_way(tmp_path, capsys):
     assert "smallest g -1.0e-04 of the largest" in lines["health"]
     assert "mean temperature 1 to 0.5" in lines["health"]
     assert lines["checkpoints"] == "checkpoint-000002.h5"
+
+
+def begun(path, *lines, age=0.0):
+    """A run's log with these lines after its first ones, written `age` seconds ago."""
+    rundir.prepare(path, JOB)
+    when = time.time() - age
+    started = datetime.fromtimestamp(when - 10.0, timezone.utc).isoformat(timespec="seconds")
+    (path / "run.log").write_text("\n".join(["version: 1", f"started: {started}", *lines]) + "\n")
+    for file in path.iterdir():
+        os.utime(file, (when, when))
+
+
+def test_how_a_run_ended_is_what_it_said_last(tmp_path, capsys):
+    begun(tmp_path, "ended: stopped by SIGTERM after step 3", "version: 1", "ended: done: step 9, t = 2")
+    assert shown(tmp_path, capsys)["state"] == "done: step 9, t = 2"
+    begun(tmp_path, "ended: stopped by SIGTERM after step 3", "version: 1", "restart from step 3", age=3600.0)
+    assert shown(tmp_path, capsys)["state"].startswith("killed")
+    assert "1:00 h" in shown(tmp_path, capsys)["state"]
+
+
+def test_a_run_that_wrote_a_moment_ago_may_be_running(tmp_path, capsys):
+    begun(tmp_path)
+    assert shown(tmp_path, capsys)["state"].startswith("running, or just killed")
+
+
+def test_columns_of_a_fluid_that_there_is_none_of_are_no_sickness(tmp_path, capsys):
+    rundir.prepare(tmp_path, JOB.model_copy(update={"fluid": JOB.fluid.model_copy(update={"enabled": False})}))
+    history = History(tmp_path / "history.csv", ["step", "time", "fluid_energy", "energy"])
+    history.append({"step": 0, "time": 0.0, "fluid_energy": np.nan, "energy": 1.0})
+    history.close()
+    assert shown(tmp_path, capsys)["health"].startswith("all numbers finite")
 
 
 def test_numbers_that_are_none_are_named(tmp_path, capsys):

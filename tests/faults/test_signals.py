@@ -75,6 +75,19 @@ def test_the_script_is_mpirun_otherwise(place):
     assert "up" in done.stdout
 
 
+def test_the_line_that_says_how_to_go_on_is_a_command_that_does(place, whole):
+    with Started(2, ["0.1:step:all:each"], "run", place / "job.toml", "--output", place / "run", mpirun=SCRIPT,
+                 log=place / "log") as started:  # fmt: skip
+        wait_for(lambda: rundir.checkpoints(place / "run"), started)
+        started.process.send_signal(signal.SIGTERM)
+        assert started.wait() == 75, (place / "log").read_text()
+        command = started.lines()[0].partition("go on with: ")[2]
+    assert str(SCRIPT[0]) in command
+    done = subprocess.run(["bash", "-c", command], cwd=ROOT, env=mpi_environment(), capture_output=True, timeout=90)
+    assert done.returncode == 0, done.stderr
+    assert_same(place / "run", whole)
+
+
 def test_ctrl_c_before_the_run_begins_is_no_traceback(place):
     options = ["--output", place / "run"]
     status, lines = run(1, ["SIGINT:read:0:1"], place / "job.toml", *options, log=place / "log")

@@ -158,8 +158,10 @@ def test_whatever_stops_a_run_it_goes_on_with_the_same_bits(mpirun, tmp_path):
         step = int(rows(directory)[-1].split(",")[0])
         assert f"stopped by {reason}" in said
         assert f"after step {step} at t = " in said
-        mpi = f"mpirun -n {ranks} " if ranks > 1 else ""
-        assert said.endswith(f"go on with: {mpi}rvm run {directory}/job.toml --output {directory} --restart")
+        assert said.endswith(f" -m rvm_mpi run {directory}/job.toml --output {directory} --restart")
+        assert f" -n {ranks} " in said.partition("go on with: ")[2]
+        last = (directory / "run.log").read_text().splitlines()[-1]
+        assert last.startswith(f"ended: stopped by {reason}")
         assert (directory / f"checkpoint-{step:08d}.h5").exists()
         assert len(list(directory.glob("checkpoint-*"))) <= 2
         restart = ["--restart"]

@@ -5,7 +5,7 @@ import signal
 
 import pytest
 
-from rvm_mpi.control import Control, Decision
+from rvm_mpi.control import SIGNALS, Control, Decision
 
 
 class Clock:
@@ -39,7 +39,7 @@ def test_nothing_happens_by_itself(tmp_path, now):
         assert control.agree(Ranks()) == Decision("", False)
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGUSR1])
+@pytest.mark.parametrize("number", SIGNALS)
 def test_a_signal_leaves_a_note_and_nothing_else(tmp_path, now, number):
     before = signal.getsignal(number)
     with Control(tmp_path, now=now) as control:
@@ -48,6 +48,18 @@ def test_a_signal_leaves_a_note_and_nothing_else(tmp_path, now, number):
         os.kill(os.getpid(), number)
         assert control.agree(Ranks()) == Decision(signal.Signals(number).name, True)
     assert signal.getsignal(number) == before
+
+
+def test_what_is_ignored_as_nohup_does_stays_ignored(tmp_path, now):
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        with Control(tmp_path, now=now) as control:
+            control.start(0.0)
+            os.kill(os.getpid(), signal.SIGHUP)
+            assert control.agree(Ranks()) == Decision()
+        assert signal.getsignal(signal.SIGHUP) == signal.SIG_IGN
+    finally:
+        signal.signal(signal.SIGHUP, before)
 
 
 def test_a_signal_to_another_rank_stops_this_one(tmp_path, now):

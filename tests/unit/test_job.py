@@ -357,6 +357,7 @@ REFUSED = [
     ({"initial": {"state": "two-gaussians"}}, "does not fit the operator", '"boltzmann"'),
     ({"initial": {"state": "bkw"}}, "does not fit", '"boltzmann"'),
     ({"title": 3}, "title: wrong type", ""),
+    ({"title": "a\0b"}, "title: holds the character", ""),
     ({"velocity": 3}, "velocity: wrong type", "a table with points, half_width"),
 ]  # fmt: skip
 

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from rvm_mpi.progress import Progress, _count, _duration
+from rvm_mpi.progress import Progress, _count, duration
 
 
 class Clock:
@@ -64,7 +64,7 @@ def test_time_left_knows_that_steps_grow():
     for step in range(1, 4):
         dt = (1.0 + time) * growth
         time = run(progress, clock, steps=1, seconds=1.0, dt=dt, first=step, time=time)
-        assert f", {_duration(200.0 - step)} left" in out.getvalue().splitlines()[-1]
+        assert f", {duration(200.0 - step)} left" in out.getvalue().splitlines()[-1]
 
 
 def test_first_steps_then_every_ten_seconds_then_the_last():
@@ -152,7 +152,7 @@ def test_quiet():
     ],
 )
 def test_durations(seconds, text):
-    assert _duration(seconds) == text
+    assert duration(seconds) == text
 
 
 @pytest.mark.parametrize(
