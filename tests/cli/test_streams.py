@@ -69,8 +69,8 @@ def run(tmp_path_factory):
 @pytest.mark.parametrize("number", ["HUP", "USR2", "XCPU"])
 def test_a_signal_ends_a_run_with_a_checkpoint(place, number):
     script = (
-        f"{sys.executable} -m rvm_mpi run job.toml --output run {' '.join(LONG)} 2> log & until [ -s run/history.csv ]; do sleep 0.1; done; "
-        f"sleep 0.3; kill -{number} $!; wait $!"
+        f"{sys.executable} -m rvm_mpi run job.toml --output run {' '.join(LONG)} 2> log & "
+        f"until [ -s run/history.csv ]; do sleep 0.1; done; sleep 0.3; kill -{number} $!; wait $!"
     )
     assert shell(script, place)[0] == 75
     assert rundir.checkpoints(place / "run")
