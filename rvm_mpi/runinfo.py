@@ -70,12 +70,12 @@ def _state(path: Path) -> str:
 
 def _silence(path: Path, started: str) -> tuple[float, float]:
     """Seconds since something was written in the run directory, and for how long that is usual at the run's pace."""
-    times = [file.stat().st_mtime for name in rundir.MARKS if (file := path / name).exists()]
-    with contextlib.suppress(OSError):
-        rows = (path / "history.csv").read_bytes().count(b"\n")
-        begin = datetime.fromisoformat(started).timestamp() if started else max(times)
-        return clock.time() - max(times), QUIET + PACE * max(max(times) - begin, 0.0) / max(rows, 1)
-    return 0.0, QUIET
+    last = max(file.stat().st_mtime for name in rundir.MARKS if (file := path / name).exists())
+    begin, rows = last, 1
+    with contextlib.suppress(OSError, ValueError):
+        begin = datetime.fromisoformat(started).timestamp()
+        rows = max((path / "history.csv").read_bytes().count(b"\n"), 1)
+    return clock.time() - last, QUIET + PACE * max(last - begin, 0.0) / rows
 
 
 def _job(job: Job) -> str:
