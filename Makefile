@@ -5,7 +5,7 @@ SHELL := /bin/bash
 
 PYTHON := .venv/bin/python
 RANKS := 2
-MPIRUN := jobs/mpirun.sh -n $(RANKS) --oversubscribe --bind-to none --mca btl ^tcp
+LAUNCH := jobs/mpirun.sh -n $(RANKS) --oversubscribe --bind-to none --mca btl ^tcp
 
 DEMO_SHOWS := the random density is nearly even by t = 5 and gathers in clusters until t = 100 (contours_density.png), \
 	whose flow keeps the energy 6 % above Haff's law while the gas cools by 5.5 decades (history_cooling.png).
@@ -17,7 +17,7 @@ install:  ## install what is missing (system packages, then .venv); says what be
 	@scripts/install.sh
 
 demo: install  ## clusters in a cooling granular gas: a short run on 2 ranks and its pictures, in runs/demo
-	$(MPIRUN) .venv/bin/rvm run jobs/demo.toml --output runs/demo --overwrite
+	$(LAUNCH) .venv/bin/rvm run jobs/demo.toml --output runs/demo --overwrite
 	$(PYTHON) postprocess/contours.py runs/demo
 	$(PYTHON) postprocess/history.py runs/demo
 	@echo "The pictures are in runs/demo/figures. What to see: $(DEMO_SHOWS)"

@@ -60,7 +60,7 @@ unshare --mount --pid --fork true 2>/dev/null || fail "this machine does not all
 [ -z "$(git status --porcelain)" ] || say "what is not committed is not tried"
 
 root=$(mktemp -d "$place/rvm_mpi-$system.XXXXXX")
-# shellcheck disable=SC2317  # called by the trap
+# shellcheck disable=SC2317,SC2329  # called by the trap
 leave() { if [ "$keep" ]; then say "kept: $root"; else rm -rf --one-file-system "$root"; fi; }
 trap leave EXIT
 trap 'exit 130' INT TERM HUP
