@@ -1,15 +1,11 @@
 # make alone lists the targets.
 .DEFAULT_GOAL := help
 SHELL := /bin/bash
-.PHONY: help install demo test long-tests fault-tests lint clean
+.PHONY: help install test-tools demo test long-tests fault-tests lint clean
 
 PYTHON := .venv/bin/python
 RANKS := 2
-# Open MPI counts cores, not hardware threads, and refuses root unless told.
-CORES := $(shell lscpu -p=CORE,SOCKET | grep -v '^\#' | sort -u | wc -l)
-MPIRUN := $(or $(wildcard /usr/bin/mpirun.openmpi),mpirun) -n $(RANKS) --bind-to none --mca btl ^tcp \
-	$(if $(filter 0,$(shell id -u)),--allow-run-as-root) \
-	$(if $(shell [ $(CORES) -lt $(RANKS) ] && echo few),--oversubscribe)
+LAUNCH := jobs/mpirun.sh -n $(RANKS) --oversubscribe --bind-to none --mca btl ^tcp
 
 DEMO_SHOWS := the random density is nearly even by t = 5 and gathers in clusters until t = 100 (contours_density.png), \
 	whose flow keeps the energy 6 % above Haff's law while the gas cools by 5.5 decades (history_cooling.png).
@@ -21,22 +17,24 @@ install:  ## install what is missing (system packages, then .venv); says what be
 	@scripts/install.sh
 
 demo: install  ## clusters in a cooling granular gas: a short run on 2 ranks and its pictures, in runs/demo
-	$(MPIRUN) .venv/bin/rvm run jobs/demo.toml --output runs/demo --overwrite
+	$(LAUNCH) .venv/bin/rvm run jobs/demo.toml --output runs/demo --overwrite
 	$(PYTHON) postprocess/contours.py runs/demo
 	$(PYTHON) postprocess/history.py runs/demo
 	@echo "The pictures are in runs/demo/figures. What to see: $(DEMO_SHOWS)"
 
-test: lint  ## lint and the test suite, except what takes minutes; 1, 2 and 4 ranks where ranks matter
+test-tools:
+	@scripts/install.sh test
+
+test: test-tools  ## the test suite, except what takes minutes; 1, 2 and 4 ranks where ranks matter
 	$(PYTHON) -m pytest -m "not long"
 
-long-tests: lint  ## the tests that take minutes or more
+long-tests: test-tools  ## the tests that take minutes or more
 	$(PYTHON) -m pytest -m long
 
-fault-tests: lint  ## kills, full disks, signals, damaged files: the long fault suite with its figures
+fault-tests: test-tools  ## kills, full disks, signals, damaged files: the long fault suite with its figures
 	$(PYTHON) -m pytest tests/faults
 
-lint:  ## ruff and mypy
-	@scripts/install.sh test
+lint: test-tools  ## ruff and mypy
 	$(PYTHON) -m ruff check .
 	$(PYTHON) -m mypy
 

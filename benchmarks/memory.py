@@ -11,6 +11,7 @@ kernels must be compiled before (a run that compiles holds more).
 import argparse
 import json
 import os
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -88,7 +89,8 @@ def measured(job: dict, ranks: int) -> dict[str, float]:
         "time": {"end": 1e3, "max_steps": 2},
         "output": {"times": [0.0, 1e3]},
     }
-    command = ["mpirun", "-n", str(ranks), "--oversubscribe", "--bind-to", "none", sys.executable, __file__]
+    mpirun = shutil.which("mpirun.openmpi") or "mpirun"
+    command = [mpirun, "-n", str(ranks), "--oversubscribe", "--bind-to", "none", sys.executable, __file__]
     environment = os.environ | {"OMPI_MCA_mpi_yield_when_idle": "1", "H5PY_ALWAYS_USE_MPI": "1"}
     done = subprocess.run(
         [*command, "--job", json.dumps(whole)], env=environment, stdout=subprocess.PIPE, text=True, check=True

@@ -22,7 +22,7 @@ def seconds(job: Path, ranks: int, kernels: Path) -> tuple[float, float]:
     """Seconds to the first step and to the end of a run of one step, with kernels from and to a directory."""
     with tempfile.TemporaryDirectory() as directory:
         output = Path(directory) / "run"
-        launcher = [MPIRUN, "-n", str(ranks), "--bind-to", "none"] if ranks > 1 else []
+        launcher = [MPIRUN, "-n", str(ranks), "--oversubscribe", "--bind-to", "none"] if ranks > 1 else []
         command = [*launcher, sys.executable, "-m", "rvm_mpi", "run", str(job), "--output", str(output), "--quiet"]
         begin = time.perf_counter()
         with subprocess.Popen(

@@ -5,4 +5,4 @@
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
-exec jobs/mpirun.sh -n "${RANKS:-2}" --bind-to none .venv/bin/rvm run "jobs/$2.toml" --output "runs/$1" "${@:3}"
+exec jobs/mpirun.sh -n "${RANKS:-2}" --oversubscribe --bind-to none .venv/bin/rvm run "jobs/$2.toml" --output "runs/$1" "${@:3}"

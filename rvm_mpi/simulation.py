@@ -374,8 +374,8 @@ class Diagnostics:
         density = state[..., 0]
         picks = [0, *range(1, d + 1), 4]
         arrays = [state[..., q] for q in picks] + [density * temperature, density**2]
-        fluid_density = fluid_energy = np.zeros(0)
-        fluid_thermal = np.zeros(0)
+        fluid_density: np.ndarray = np.zeros(0)
+        fluid_energy = fluid_thermal = fluid_density
         if sim.fluid is not None:
             fluid_density, fluid_energy = sim.fluid.interior[..., 0], sim.fluid.interior[..., -1]
             fluid_thermal = fluid_density * sim.fluid.moments()[2]

@@ -548,7 +548,8 @@ class KineticStepper:
         What of the drift answers an explicit operator's dissipation counts in full: in a cooling gas the two balance,
         which substeps of one of them would miss by O(dt^2) in each step, always to the same side.
         """
-        drift, answering = self._diagnostics[..., stage.DRIFT], np.zeros(())
+        drift = self._diagnostics[..., stage.DRIFT]
+        answering: np.ndarray = np.zeros(())
         if self._operator is not None and self.rescaled:
             across = 0.5 * sum(self.grid.points[: self.grid.dimensions])  # V/h in all directions
             answering = np.minimum(0.5 * self._diagnostics[..., stage.COOLING_RATE] * across, drift)

@@ -5,13 +5,14 @@ import shutil
 import signal
 import subprocess
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
-SYSTEM_MPIRUN = "/usr/bin/mpirun.openmpi"  # the system mpi4py's, whatever comes first on the PATH
+# the system mpi4py's, whatever comes first on the PATH
+MPIRUN = os.environ.get("MPIRUN") or shutil.which("mpirun.openmpi") or "mpirun"
 
 
 def mpi_environment() -> dict[str, str]:
@@ -32,6 +33,12 @@ def mpi_environment() -> dict[str, str]:
     }
 
 
+def start_line(ranks: int, *arguments: str | os.PathLike[str], mpirun: Sequence[str] = (MPIRUN,)) -> list[str]:
+    """Return the command that starts `ranks` ranks of this Python, also more than there are cores."""
+    line = [*mpirun, "-n", str(ranks), "--oversubscribe", "--bind-to", "none", sys.executable]
+    return [*line, *(os.fspath(argument) for argument in arguments)]
+
+
 @pytest.fixture(scope="session")
 def mpirun() -> Callable[..., subprocess.CompletedProcess[str]]:
     """Run ``mpirun -n ranks python *arguments`` and return returncode, stdout and stderr.
@@ -40,10 +47,7 @@ def mpirun() -> Callable[..., subprocess.CompletedProcess[str]]:
     `timeout` (seconds; then every rank is killed and the test fails), `cwd` (the project's root) and `env`
     (added to the environment). It checks no return code.
     """
-    command = os.environ.get("MPIRUN") or (
-        SYSTEM_MPIRUN if Path(SYSTEM_MPIRUN).exists() else shutil.which("mpirun")
-    )
-    assert command, "no mpirun: see docs/install.md"
+    assert shutil.which(MPIRUN), "no mpirun: see docs/install.md"
 
     def run(
         ranks: int,
@@ -52,8 +56,7 @@ def mpirun() -> Callable[..., subprocess.CompletedProcess[str]]:
         cwd: str | os.PathLike[str] = ROOT,
         env: Mapping[str, str] | None = None,
     ) -> subprocess.CompletedProcess[str]:
-        line = [command, "-n", str(ranks), "--oversubscribe", "--bind-to", "none", sys.executable]
-        line += [os.fspath(argument) for argument in arguments]
+        line = start_line(ranks, *arguments)
         with subprocess.Popen(
             line,
             cwd=cwd,

@@ -4,18 +4,16 @@ import contextlib
 import os
 import signal
 import subprocess
-import sys
 import time
 from pathlib import Path
 
 import h5py
 import numpy as np
-from conftest import ROOT, SYSTEM_MPIRUN, mpi_environment
+from conftest import MPIRUN, ROOT, mpi_environment, start_line
 
 from rvm_mpi.results import open_run
 
 PROGRAM = Path(__file__).with_name("program.py")
-MPIRUN = os.environ.get("MPIRUN") or (SYSTEM_MPIRUN if Path(SYSTEM_MPIRUN).exists() else "mpirun")
 STEPS = 14
 #: seconds in which a run as small as these has ended, whatever happened to it, also on a busy machine
 BOUND = 90.0
@@ -58,8 +56,7 @@ class Started:
     """
 
     def __init__(self, ranks, faults, *arguments, mpirun=(MPIRUN,), log, environment=()):
-        line = [*mpirun, "-n", str(ranks), "--oversubscribe", "--bind-to", "none", sys.executable, str(PROGRAM)]
-        line += [*faults, "--", *map(str, arguments)]
+        line = start_line(ranks, PROGRAM, *faults, "--", *map(str, arguments), mpirun=mpirun)
         self.log = log
         with log.open("w") as stream:
             self.process = subprocess.Popen(

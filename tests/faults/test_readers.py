@@ -34,7 +34,7 @@ while not stop.exists():
             stored = np.isfinite(file["time"][()])
             times = file["time"][()][stored]
             for name in ("kinetic/density", "kinetic/stress", "fluid/density", "wall/y-lower/pressure"):
-                assert np.isfinite(file[name][stored]).all(), name
+                assert np.isfinite(file[name][: len(stored)][stored]).all(), name  # h5py 3.6 takes no mask of one axis
             time.sleep(0.02)
     reads += 1
     seen.add(len(times))

@@ -6,9 +6,9 @@ The stop file, the wall-clock limit and signals to single ranks between steps: t
 import os
 import signal
 import subprocess
-import sys
 
 import pytest
+from conftest import start_line
 from faults.faulty import ROOT, Started, assert_readable, assert_same, mpi_environment, run, wait_for
 
 from rvm_mpi import rundir
@@ -69,7 +69,7 @@ def test_what_mpirun_would_answer_by_killing_reaches_the_ranks_through_the_scrip
 
 
 def test_the_script_is_mpirun_otherwise(place):
-    line = [*SCRIPT, "-n", "2", "--oversubscribe", sys.executable, "-c", "import os; print('up'); os._exit(3)"]
+    line = start_line(2, "-c", "import os; print('up'); os._exit(3)", mpirun=SCRIPT)
     done = subprocess.run(line, env=mpi_environment(), capture_output=True, text=True, timeout=60)
     assert done.returncode == 3
     assert "up" in done.stdout

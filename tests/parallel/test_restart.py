@@ -5,13 +5,12 @@ import re
 import shutil
 import signal
 import subprocess
-import sys
 import time
 from pathlib import Path
 
 import h5py
 import pytest
-from conftest import SYSTEM_MPIRUN, mpi_environment
+from conftest import mpi_environment, start_line
 
 from rvm_mpi.compare import compare_paths
 
@@ -121,9 +120,7 @@ def ranks_of(mpirun):
 def stop_run(ranks, job, directory, stop, *options):
     """Start a run, disturb it by `stop(mpirun's process)` after a few new steps; returns status and stderr."""
     done = len(rows(directory))
-    command = os.environ.get("MPIRUN") or (SYSTEM_MPIRUN if Path(SYSTEM_MPIRUN).exists() else "mpirun")
-    line = [command, "-n", str(ranks), "--oversubscribe", "--bind-to", "none", sys.executable, "-m", "rvm_mpi"]
-    line += ["run", str(job), "--output", str(directory), *options]
+    line = start_line(ranks, "-m", "rvm_mpi", "run", job, "--output", directory, *options)
     with subprocess.Popen(
         line, env=mpi_environment(), stdin=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, start_new_session=True
     ) as process:

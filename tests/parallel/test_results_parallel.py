@@ -1,9 +1,6 @@
 """fields.h5 from 1 to 4 ranks: the same bits, nothing lost, and no hang when one rank fails."""
 
 import math
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -12,24 +9,18 @@ import pytest
 from rvm_mpi import results
 
 PROGRAM = Path(__file__).with_name("results_program.py")
-ROOT = PROGRAM.parents[2]
 
 
-def mpirun(ranks, *arguments, check=True):
-    """Run the program; a hang is a failure after 60 s."""
-    environment = {
-        **os.environ,
-        "OMPI_ALLOW_RUN_AS_ROOT": "1",
-        "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1",
-        "OMPI_MCA_rmaps_base_oversubscribe": "1",
-        "OMPI_MCA_mpi_yield_when_idle": "1",
-        "PYTHONPATH": str(ROOT),
-    }
-    command = ["mpirun", "-n", str(ranks), sys.executable, str(PROGRAM), *map(str, arguments)]
-    run = subprocess.run(command, capture_output=True, text=True, env=environment, timeout=60)
-    if check:
-        assert run.returncode == 0, run.stdout + run.stderr
-    return run.stdout
+@pytest.fixture
+def program(mpirun):
+    """Run the program on some ranks and return what it said; a hang is a failure after 60 s."""
+
+    def run(ranks, *arguments, check=True):
+        done = mpirun(ranks, PROGRAM, *arguments, timeout=60, env={"PYTHONPATH": str(PROGRAM.parents[2])})
+        assert done.returncode == 0 or not check, done.stdout + done.stderr
+        return done.stdout
+
+    return run
 
 
 def expected(name, index, run):
@@ -60,12 +51,12 @@ ORDER = (
 
 
 @pytest.mark.parametrize(("cells", "ranks"), [("13x10", (1, 2, 3, 4)), ("13", (1, 2, 3, 4)), ("0D", (1,))])
-def test_same_bits_on_any_number_of_ranks(tmp_path, cells, ranks):
+def test_same_bits_on_any_number_of_ranks(program, tmp_path, cells, ranks):
     runs, sums = [], set()
     for n in ranks:
         directory = tmp_path / str(n)
         directory.mkdir()
-        out = mpirun(n, directory, cells, "plain")
+        out = program(n, directory, cells, "plain")
         sums.add(next(line for line in out.splitlines() if line.startswith("SUMS")))
         runs.append(results.open_run(directory))
     first = runs[0].assign_attrs(field_order=ORDER)
@@ -93,8 +84,8 @@ def test_same_bits_on_any_number_of_ranks(tmp_path, cells, ranks):
 @pytest.mark.parametrize(
     ("case", "message"), [("one-fails", "missing or unknown: kinetic/density"), ("disk-fails", "rite")]
 )
-def test_when_one_rank_fails_all_say_so_and_the_run_can_go_on(tmp_path, ranks, case, message):
-    out = mpirun(ranks, tmp_path, "12x9", case)
+def test_when_one_rank_fails_all_say_so_and_the_run_can_go_on(program, tmp_path, ranks, case, message):
+    out = program(ranks, tmp_path, "12x9", case)
     caught = [line for line in out.splitlines() if line.startswith("CAUGHT")]
     assert sorted(line.split()[1] for line in caught) == [str(rank) for rank in range(ranks)]
     for line in caught:
@@ -105,16 +96,16 @@ def test_when_one_rank_fails_all_say_so_and_the_run_can_go_on(tmp_path, ranks, c
 
 
 @pytest.mark.parametrize("ranks", [1, 3])
-def test_a_full_disk_is_noticed_at_the_start(tmp_path, ranks):
-    out = mpirun(ranks, tmp_path, "12x9", "no-room")
+def test_a_full_disk_is_noticed_at_the_start(program, tmp_path, ranks):
+    out = program(ranks, tmp_path, "12x9", "no-room")
     # ranks may write into each other's lines
     assert out.count("CAUGHT ") == ranks
     assert out.count("fields.h5 cannot be created: [Errno 27] File too large") == ranks
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_killed_run_leaves_its_snapshots(tmp_path):
-    mpirun(2, tmp_path, "12x9", "killed", check=False)
+def test_a_killed_run_leaves_its_snapshots(program, tmp_path):
+    program(2, tmp_path, "12x9", "killed", check=False)
     run = results.open_run(tmp_path).assign_attrs(field_order=ORDER)
     assert run.time.values.tolist() == [0.0, 0.5]
     assert np.array_equal(run.kinetic_heat_flux.values[1], expected("kinetic/heat_flux", 1, run))
