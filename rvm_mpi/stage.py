@@ -20,6 +20,7 @@ from rvm_mpi.kinetic import drift
 from rvm_mpi.kinetic.conservation import SUMS, add_correction, correct, weighted_sums
 from rvm_mpi.kinetic.transport import PIECE, upper_fluxes
 from rvm_mpi.simd import load, maximum, minimum, splat, store, total
+from rvm_mpi.units import power as plain_power
 from rvm_mpi.velocity import EDGE, SPEED2, VALID, VelocityGrid, Y
 
 #: columns of the diagnostics a stage leaves of each cell; the rates are sums of max|a|/h over the directions
@@ -33,6 +34,9 @@ DIAGNOSTICS = 11
 WEST, EAST, NORTH, RATE, WANTED, TARGET, RESULT, BEFORE, CENTRE, TENSOR, FITTED = range(11)
 #: what STATUS says
 HEALTHY, TOO_COLD_FOR_GRID, NO_GAUSSIAN, NO_CORRECTION, NOT_POSITIVE, NOT_A_NUMBER = range(6)
+
+
+power = part(plain_power)
 
 
 class Grid(NamedTuple):
@@ -195,7 +199,7 @@ def cooled(thermal, density, d, cooling, dt):  # type: ignore[no-untyped-def]
 @part
 def relaxation_rate(model, density, temperature):  # type: ignore[no-untyped-def]
     """tau(rho, T)/eps of f."""
-    return model.relaxation * density**model.density_power * temperature**model.temperature_power
+    return model.relaxation * power(density, model.density_power) * power(temperature, model.temperature_power)
 
 
 @part
