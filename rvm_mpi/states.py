@@ -349,7 +349,7 @@ def distribution(job: Job) -> Callable[..., np.ndarray] | None:
 
         def two(*v: np.ndarray) -> np.ndarray:
             return 0.5 * sum(
-                np.exp(-0.5 * sum(((c + sign * sigma) / sigma) ** 2 for c in v)) / power(2 * np.pi * sigma * sigma, d / 2)
+                np.exp(-0.5 * sum(((c + sign * sigma) / sigma) ** 2 for c in v)) / power(2 * np.pi * (sigma * sigma), d / 2)
                 for sign in (-1.0, 1.0)
             )
 

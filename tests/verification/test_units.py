@@ -67,7 +67,7 @@ STATES = {
 }  # fmt: skip
 
 
-def make_job(collision, scaling, state="wave", lower="specular", upper="specular", drift="van-leer", cells=(9,), **more):
+def make_job(operator, scaling, state="wave", lower="specular", upper="specular", drift="van-leer", cells=(9,), **more):
     """A job of three steps."""
     tables = {key: dict(value) for key, value in SCALINGS[scaling].items()}
     boundary = {"x": "periodic" if lower == "periodic" else {"lower": SIDES[lower], "upper": SIDES[upper]}}
@@ -83,7 +83,7 @@ def make_job(collision, scaling, state="wave", lower="specular", upper="specular
     tables |= {
         "space": space,
         "velocity": {"points": [10, 9], "half_width": 6.0},
-        "collision": COLLISIONS[collision],
+        "collision": COLLISIONS[operator],
         "initial": initial,
         "time": {"end": 1.0, "max_steps": 3},
         "output": {"marginals": True},
@@ -91,10 +91,10 @@ def make_job(collision, scaling, state="wave", lower="specular", upper="specular
     return Job.from_dict(tables | more)
 
 
-def assert_same(job, units, initial=None, other_initial=None):
+def assert_same(job, units, initial=None, other_initial=None, may_fail=False):
     """Run a job in its own units and in others: the same bits, but for the factor of each quantity."""
-    wanted = results(job, initial)
-    found = results(rescaled(job, units), other_initial)
+    wanted = results(job, initial, may_fail)
+    found = results(rescaled(job, units), other_initial, may_fail)
     assert list(found) == list(wanted)
     for name, values in wanted.items():
         np.testing.assert_array_equal(found[name], factor(name, job, units) * values, err_msg=name)
@@ -140,10 +140,10 @@ def test_each_side(side, scaling):
     assert_same(make_job("es-bgk", scaling, "riemann", side, side), powers(65, -64, 63))
 
 
-@pytest.mark.parametrize("scaling", ["none", "kinetic"])
+@pytest.mark.parametrize("scaling", ["macroscopic", "kinetic"])
 @pytest.mark.parametrize("drift", DRIFTS)
 def test_each_drift(drift, scaling):
-    assert_same(make_job("granular", scaling, "disc", "far-field", "vacuum", drift), powers(-63, 64, 65))
+    assert_same(make_job("granular", scaling, "wave", "far-field", "specular", drift), powers(-63, 64, 65))
 
 
 @pytest.mark.parametrize("state", STATES)
@@ -174,7 +174,10 @@ def test_states_that_are_no_gaussians(state, scaling):
     st.tuples(*(st.integers(-MOST, MOST),) * 3),
 )
 def test_any_job_in_any_units(collision, scaling, state, upper, lower, drift, cells, exponents):
-    assert_same(make_job(collision, scaling, state, lower, upper, drift, cells), powers(*exponents))
+    """Where a run fails, for a drift without a limiter at a jump, it fails in the same cell of the same step."""
+    if lower == "periodic":
+        upper = lower
+    assert_same(make_job(collision, scaling, state, lower, upper, drift, cells), powers(*exponents), may_fail=True)
 
 
 @pytest.mark.parametrize("scaling", ["none", "macroscopic", "kinetic"])
@@ -200,7 +203,7 @@ def test_other_powers_of_density_and_temperature_to_rounding():
         {"operator": "es-bgk", "knudsen": 0.1, "relaxation": law},
         {"operator": "boltzmann", "knudsen": 0.3, "restitution": 0.9, "exponent": 0.4},
     ):
-        job = make_job("hard-spheres", "macroscopic", "riemann", **{"collision": collision})
+        job = make_job("free", "macroscopic", "riemann", collision=collision)
         assert_close(job, units)
 
 

@@ -11,6 +11,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from rvm_mpi import Job, Simulation
+from rvm_mpi.job import JobError
+from rvm_mpi.stepping import NumericalFailure
 
 
 class Units(NamedTuple):
@@ -128,13 +130,28 @@ def factor(name: str, job: Job, units: Units) -> float:
     }.get(last, 1.0)  # fmt: skip
 
 
-def results(job: Job, initial: Any = None) -> dict[str, np.ndarray]:
-    """What a run leaves, in memory: each row of the history, and the fields and walls at the end."""
-    simulation = Simulation(job, initial)
-    rows = [dict(simulation.diagnostics.row)]
-    for _ in simulation:
-        rows.append(dict(simulation.diagnostics.row))
+def results(job: Job, initial: Any = None, may_fail: bool = False) -> dict[str, np.ndarray]:
+    """What a run leaves, in memory: each row of the history, and the fields and walls at the end.
+
+    A run that may fail, or whose initial state may be refused, leaves the cell where it did, and all that was before.
+    """
+    try:
+        simulation = Simulation(job, initial)
+    except JobError:
+        if not may_fail:
+            raise
+        return {"refused": np.ones(1)}
+    rows, failure = [dict(simulation.diagnostics.row)], None
+    try:
+        for _ in simulation:
+            rows.append(dict(simulation.diagnostics.row))
+    except NumericalFailure as error:
+        if not may_fail:
+            raise
+        failure = error
     found = {name: np.array([row[name] for row in rows]) for name in rows[0]}
+    if failure is not None:
+        return {**found, "failed in": np.array(failure.cell or (-1, -1)), "dt": np.append(found["dt"], failure.dt)}
     found.update({name: np.array(values) for name, values in simulation.snapshot().items()})
     found.update({name: np.array(values) for name, values in simulation.walls().items()})
     return found
