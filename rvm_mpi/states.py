@@ -346,11 +346,11 @@ def distribution(job: Job) -> Callable[..., np.ndarray] | None:
     d, state = job.velocity.dimensions, job.initial
     if isinstance(state, TwoGaussians):
         sigma = state.sigma
+        volume = power(2 * np.pi * (sigma * sigma), d / 2)
 
         def two(*v: np.ndarray) -> np.ndarray:
             return 0.5 * sum(
-                np.exp(-0.5 * sum(((c + sign * sigma) / sigma) ** 2 for c in v)) / power(2 * np.pi * (sigma * sigma), d / 2)
-                for sign in (-1.0, 1.0)
+                np.exp(-0.5 * sum(((c + sign * sigma) / sigma) ** 2 for c in v)) / volume for sign in (-1.0, 1.0)
             )
 
         return two

@@ -2,8 +2,8 @@
 
 The weights are those of WENO-Z with the exponent 2: R. Borges, M. Carmona, B. Costa, W. S. Don, J. Comput.
 Phys. 227 (2008); M. Castro, B. Costa, W. S. Don, J. Comput. Phys. 230 (2011). They keep fifth order at simple
-extrema, where the weights of Jiang and Shu fall to third, and depend on no scale of the solution: what keeps 0/0 out of
-them is relative to the gas, not to the unit that its density is measured in.
+extrema, where the weights of Jiang and Shu fall to third, and depend on no scale of the solution: what keeps 0/0 out
+of them is relative to the gas, not to the unit that its density is measured in.
 """
 
 from __future__ import annotations

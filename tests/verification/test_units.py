@@ -1,13 +1,19 @@
 """Nothing depends on the units: a job in other units gives the same bits times powers of two."""
 
 import functools
+import re
+from unittest.mock import ANY
 
+import h5py
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rvm_mpi import Job
+from rvm_mpi import Job, estimates
+from rvm_mpi.compare import compare_paths
+from rvm_mpi.job import JobError
+from rvm_mpi.simulation import run_job
 from tests.verification.units import Units, factor, rescaled, results
 
 #: largest exponent of two of a unit
@@ -32,7 +38,7 @@ COLLISIONS = {
 }  # fmt: skip
 for _collision in COLLISIONS.values():
     if _collision["operator"] == "boltzmann":
-        _collision.setdefault("restitution", 1.0)
+        _collision.update(restitution=_collision.get("restitution", 1.0), coarse=True)
 SCALINGS = {
     "none": {"scaling": {"kind": "none"}},
     "none-unconserved": {"scaling": {"kind": "none"}, "scheme": {"conservative": False}},
@@ -104,8 +110,8 @@ def powers(density, length, velocity):
     return Units(2.0**density, 2.0**length, 2.0**velocity)
 
 
-#: each unit by itself, up and down, odd powers too, and together; the last are the units of mass, length and velocity at
-#: their extremes, density being mass over length^3
+#: each unit by itself, up and down, odd powers too, and together; the last are those of mass, length and velocity at the
+#: extremes of all three, density being mass over length^3
 UNITS = [
     *((sign * n, 0, 0) for n in (1, 65, 66) for sign in (-1, 1)),
     *((0, sign * n, 0) for n in (1, 66) for sign in (-1, 1)),
@@ -156,9 +162,8 @@ def test_each_state(state, cells):
 @pytest.mark.parametrize("scaling", ["none", "macroscopic", "kinetic"])
 def test_states_that_are_no_gaussians(state, scaling):
     """They have a density of their own, and the solution of Bobylev, Krook and Wu a temperature too."""
-    job = make_job(
-        "maxwell-molecules", scaling, cells=(), initial={"state": state}, velocity={"points": [12, 12], "half_width": 8.0}
-    )
+    box = {"points": [12, 12], "half_width": 8.0}
+    job = make_job("maxwell-molecules", scaling, cells=(), initial={"state": state}, velocity=box)
     assert_same(job, powers(0, 17, 0 if state == "bkw" else -33))
 
 
@@ -201,7 +206,7 @@ def test_other_powers_of_density_and_temperature_to_rounding():
     units = powers(-33, 11, 35)
     for collision in (
         {"operator": "es-bgk", "knudsen": 0.1, "relaxation": law},
-        {"operator": "boltzmann", "knudsen": 0.3, "restitution": 0.9, "exponent": 0.4},
+        {"operator": "boltzmann", "knudsen": 0.3, "restitution": 0.9, "exponent": 0.4, "coarse": True},
     ):
         job = make_job("free", "macroscopic", "riemann", collision=collision)
         assert_close(job, units)
@@ -233,3 +238,65 @@ def shock_tube():
 def test_a_density_that_is_no_power_of_two(density):
     """A shock tube at 1e-20 times the density: temperatures were off by 0.18, and by 0.02 in the kinetic equation."""
     assert_close(shock_tube(), Units(density=density))
+
+
+@pytest.mark.parametrize("scaling", ["none", "kinetic"])
+def test_run_directories_and_restarts_in_other_units(scaling, tmp_path):
+    """What a run writes, in two parts or in one: velocities and omega in the job's units, g from a checkpoint."""
+    units = powers(-65, 21, 66)
+    job = make_job("granular", scaling, "riemann", "maxwell", "far-field")
+    other = rescaled(job, units)
+    assert run_job(job, tmp_path / "own", quiet=True) == 0
+    assert run_job(other, tmp_path / "other", quiet=True) == 0
+    first = other.model_copy(update={"time": other.time.model_copy(update={"max_steps": 1})})
+    assert run_job(first, tmp_path / "parts", quiet=True) == 0
+    assert run_job(other, tmp_path / "parts", restart=True, quiet=True) == 0
+    assert compare_paths(tmp_path / "other", tmp_path / "parts") == (True, ANY)
+    with h5py.File(tmp_path / "own" / "fields.h5") as wanted, h5py.File(tmp_path / "other" / "fields.h5") as found:
+        speed = units.velocity if scaling == "none" else 1.0
+        np.testing.assert_array_equal(found["marginal/xi_x"][()], speed * wanted["marginal/xi_x"][()])
+        np.testing.assert_array_equal(found["x"][()], units.length * wanted["x"][()])
+        for name in ("kinetic/temperature", "scaling/omega", "marginal/x", "wall/x-lower/pressure", "fluid/density"):
+            np.testing.assert_array_equal(found[name][()], factor(name, job, units) * wanted[name][()], err_msg=name)
+
+
+@pytest.mark.parametrize("scaling", ["none", "synchronised-by-itself", "kinetic"])
+@pytest.mark.parametrize("operator", ["granular", "hard-spheres", "maxwell-molecules"])
+def test_what_is_foretold(operator, scaling):
+    """`rvm check` says of both jobs the same, in their units."""
+    job, units = make_job(operator, scaling, "riemann", "diffuse", "far-field"), powers(66, -65, 64)
+    other = rescaled(job, units)
+    estimates.check_box(other)
+    own, found = estimates.first_step(job), estimates.first_step(other)
+    assert (found.dt, found.later, found.limit) == (units.time * own.dt, units.time * own.later, own.limit)
+    assert (found.drift_rate, found.cooling_rate) == (own.drift_rate / units.time, own.cooling_rate / units.time)
+    assert estimates.steps(other) == estimates.steps(job)
+    path, other_path = (estimates.physics(one).cells_per_mean_free_path for one in (job, other))
+    assert path == other_path
+
+
+def test_a_box_that_is_too_small_is_refused_in_any_units():
+    for unit in (1.0, 2.0**-60):
+        small = make_job("granular", "none", velocity={"points": [10, 9], "half_width": 2.0})
+        job = rescaled(small, Units(velocity=unit))
+        with pytest.raises(JobError, match="half_width: too small") as refused:
+            estimates.check_box(job)
+        allowed = float(re.search(r"at least (\S+) along x", str(refused.value))[1])
+        assert 3.2 * unit < allowed < 4.5 * unit
+
+
+@pytest.mark.parametrize("knudsen", [0.01, 2.0**-60])
+def test_a_penalised_operator_may_take_any_restitution_and_knudsen_number(knudsen):
+    """How fast a gas cools against its collisions does not depend on the Knudsen number: nor does what is allowed."""
+    found = {}
+    for penalise in (False, True):
+        job = make_job(
+            "free", "kinetic-alone", "wave", "periodic", "periodic",
+            velocity={"points": [16, 16]},
+            collision={**COLLISIONS["hard-spheres"], "knudsen": knudsen, "restitution": 0.5, "penalise": penalise},
+            initial={"state": "wave", "density_amplitude": 0.2},
+            time={"end": 2 * knudsen},
+        )  # fmt: skip
+        found[penalise] = results(job)
+    np.testing.assert_allclose(found[True]["kinetic/temperature"], found[False]["kinetic/temperature"], rtol=0.01)
+    assert found[True]["kinetic/temperature"].max() < 0.3  # it has cooled by much
