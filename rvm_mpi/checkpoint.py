@@ -35,7 +35,7 @@ from rvm_mpi.results import DiskFailure, _import_h5py, _open, check_room
 if TYPE_CHECKING:
     from rvm_mpi.domain import Domain
 
-FORMAT = 2
+FORMAT = 3
 KEPT = 2
 #: bytes of one read or write at most: MPI-IO counts in 32 bits
 CALL = 2**30

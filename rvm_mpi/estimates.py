@@ -8,6 +8,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from decimal import ROUND_CEILING, Decimal
 from math import ceil, gamma, inf, isfinite, log1p, pi, prod, sqrt
 from time import perf_counter
 from typing import TYPE_CHECKING
@@ -18,6 +19,7 @@ from rvm_mpi import kinetic_theory
 from rvm_mpi.collisions.boltzmann_weights import SUPPORT, Rows
 from rvm_mpi.job_text import JobError
 from rvm_mpi.states import macroscopic_state
+from rvm_mpi.units import power
 from rvm_mpi.velocity import ROOM
 
 if TYPE_CHECKING:
@@ -260,7 +262,9 @@ def _check_width(job: Job, what: str, mean: np.ndarray, thermal: np.ndarray) -> 
 
 
 def _rounded_up(value: float) -> float:
-    return ceil(value * 100) / 100
+    """Three digits, no less than the value."""
+    exact = Decimal(value)
+    return float(exact.quantize(Decimal(1).scaleb(exact.adjusted() - 2), rounding=ROUND_CEILING))
 
 
 # --- memory, steps, time
@@ -681,11 +685,11 @@ def collision_frequency(job: Job, density: np.ndarray, temperature: np.ndarray) 
     assert collision.knudsen is not None
     if collision.relaxation is not None:
         law = collision.relaxation
-        rate = law.coefficient * density**law.density_power * temperature**law.temperature_power
+        rate = law.coefficient * power(density, law.density_power) * power(temperature, law.temperature_power)
     else:
         assert collision.cross_section is not None and collision.exponent is not None
-        power = collision.exponent
-        mean_power = (4 * temperature) ** (power / 2) * gamma((d + power) / 2) / gamma(d / 2)
+        exponent = collision.exponent
+        mean_power = power(4 * temperature, exponent / 2) * gamma((d + exponent) / 2) / gamma(d / 2)
         rate = density * collision.cross_section * kinetic_theory.sphere_area(d) * mean_power
     return rate / collision.knudsen
 
@@ -707,7 +711,7 @@ def fastest_rate(job: Job, density: np.ndarray, omega: np.ndarray) -> np.ndarray
     assert collision.cross_section is not None and collision.exponent is not None and collision.knudsen is not None
     widest = 2.0 * SUPPORT * job.velocity.half_width[0] * omega
     sphere = collision.cross_section * kinetic_theory.sphere_area(job.velocity.dimensions)
-    return sphere / collision.knudsen * density * widest**collision.exponent
+    return sphere / collision.knudsen * density * power(widest, collision.exponent)
 
 
 def duration_in_words(seconds: float) -> str:

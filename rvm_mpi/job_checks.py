@@ -39,8 +39,6 @@ if TYPE_CHECKING:
 AXES = ("x", "y", "z")
 MOST_CELLS = 2**28
 """Cells in all: the small fields on them, up to five numbers a cell, stay within PETSc's 32-bit indices."""
-MOST_COOLING = 10.0
-"""Largest (1 - e^2)/knudsen with which a penalised operator makes sense."""
 MOST_VELOCITIES = 2**24
 ROUNDED = 2e-4
 """Relative distance at which a Prandtl number just below its bound counts as that bound, rounded (0.6666)."""
@@ -100,14 +98,6 @@ def _check_choices(job: Job) -> None:
         if min(job.velocity.points) < 4:
             raise KeyProblem(
                 "velocity.points", "too few for the Boltzmann operator", job.velocity.points, "4 or more each"
-            )
-        lost = 1 - (1.0 if job.collision.restitution is None else job.collision.restitution) ** 2
-        if job.collision.penalise and job.collision.knudsen and lost > MOST_COOLING * job.collision.knudsen:
-            raise KeyProblem(
-                "collision.penalise",
-                f"of no use where the gas cools as fast as it relaxes: 1 - restitution^2 = {lost:.3g}",
-                True,
-                f"false, or 1 - restitution^2 up to {MOST_COOLING:g} times knudsen",
             )
         if job.collision.method == "fast":
             raise KeyProblem("collision.method", "not in this version", "fast", '"direct"')

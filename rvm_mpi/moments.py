@@ -90,5 +90,5 @@ def fields(
         "velocity": w * mean,
         "temperature": omega**2 * np.trace(tensor, axis1=-2, axis2=-1) / d,
         "stress": w[..., None] ** 2 * tensor,
-        "heat_flux": 0.5 * w**3 * grid.weight * third[..., :d],
+        "heat_flux": 0.5 * (w * w * w) * grid.weight * third[..., :d],
     }

@@ -94,7 +94,8 @@ def _cell(sim: Simulation, cell: tuple[int, int]) -> dict[str, Any]:
     report = sim.kinetic.cell_report(i, j)
     for name in ("start", "stage", "result"):
         state = report[name]
-        state.update(_moments(state["sums"], state["omega"], sim.kinetic.grid.dimensions, sim.kinetic.grid.weight))
+        volume = sim.kinetic.grid.weight / sim.kinetic.units.g
+        state.update(_moments(state["sums"], state["omega"], sim.kinetic.grid.dimensions, volume))
     if sim.fluid is not None:
         report["fluid"] = sim.fluid.interior[j, i]
     return {"cell": cell, "position": sim.domain.centre(cell), "rank": sim.domain.rank, **report}
@@ -110,14 +111,15 @@ def _moments(sums: np.ndarray, omega: float, d: int, weight: float) -> dict[str,
 
 def _velocities(sim: Simulation, cell: tuple[int, int]) -> dict[str, Any]:
     """Marginals of g of one of this rank's cells along each axis in use, and g itself if it is small."""
-    grid = sim.kinetic.velocity_grid
+    grid, units = sim.kinetic.velocity_grid, sim.kinetic.units
     i, j = cell[0] - sim.domain.start[0], cell[1] - sim.domain.start[1]
     blocks = sim.kinetic.blocks(i, j)
     marginals = {}
     for name, block in blocks.items():
         for q in range(grid.dimensions):
             others = tuple(axis for axis in range(3) if axis != q)
-            marginals[f"{name}_{'xyz'[q]}"] = block.sum(axis=others) * (grid.weight / grid.spacing[q])
+            across = grid.weight / units.g / (grid.spacing[q] * units.velocity)
+            marginals[f"{name}_{'xyz'[q]}"] = block.sum(axis=others) * across
     found: dict[str, Any] = {"marginals": marginals}
     if math.prod(grid.points) <= MOST_NODES:
         shape = grid.points[: grid.dimensions]

@@ -393,8 +393,8 @@ class Diagnostics:
         box = (report.box_mass, report.box_energy) if report else sim.kinetic.box_shares()
         on_grid = temperature / sim.kinetic.omega**2
         largest = sim.domain.maximum(
-            -(report.smallest if report else float(self._interior_g().min())),
-            report.largest if report else float(self._interior_g().max()),
+            -(report.smallest if report else float(self._interior_g().min()) * sim.kinetic.units.g),
+            report.largest if report else float(self._interior_g().max()) * sim.kinetic.units.g,
             report.mismatch if report else 0.0,
             -float(temperature.min()),
             float(temperature.max()),
@@ -418,11 +418,10 @@ class Diagnostics:
         row.update(self._entered)
         row["mean_temperature"] = float(heat / totals[0])
         row["fluid_mean_temperature"] = float(fluid_heat / fluid_mass) if fluid else none
-        row["density_variance"] = float(square) / cells - (float(totals[0]) / cells) ** 2
+        row["density_variance"] = _variance(float(square) / cells, float(totals[0]) / cells)
         row["density_deviation"] = float(deviation) / cells
-        row["fluid_density_variance"] = (
-            float(fluid_square) / cells - (float(fluid_mass) / cells) ** 2 if fluid else none
-        )
+        fluid_variance = _variance(float(fluid_square) / cells, float(fluid_mass) / cells)
+        row["fluid_density_variance"] = fluid_variance if fluid else none
         row["min_g"], row["max_g"], row["correction"] = -largest[0], largest[1], largest[2]
         row["gaussians_replaced"] = float(replaced)
         row["box_mass"], row["box_energy"] = largest[5], largest[6]
@@ -453,6 +452,11 @@ class Diagnostics:
         nx, ny = self._sim.domain.local
         wy, wx = kinetic.space.wy, kinetic.space.wx
         return kinetic.velocity_grid.unpack(kinetic.g[wy : wy + ny, wx : wx + nx])
+
+
+def _variance(square: float, mean: float) -> float:
+    """From the means of the squares and of the numbers."""
+    return square - mean * mean
 
 
 # -- a run in a directory ---------------------------------------------------------------------------------
@@ -564,7 +568,7 @@ class Run:
             job,
             facts,
             self._wall_layout(),
-            sim.kinetic.velocity_grid.x,
+            sim.kinetic.marginal_nodes,
             resume_after=sim.time if restart else None,
         )
         #: times of the snapshots that exist, NaN for the others

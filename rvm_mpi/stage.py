@@ -20,6 +20,7 @@ from rvm_mpi.kinetic import drift
 from rvm_mpi.kinetic.conservation import SUMS, add_correction, correct, weighted_sums
 from rvm_mpi.kinetic.transport import PIECE, upper_fluxes
 from rvm_mpi.simd import load, maximum, minimum, splat, store, total
+from rvm_mpi.units import power as plain_power
 from rvm_mpi.velocity import EDGE, SPEED2, VALID, VelocityGrid, Y
 
 #: columns of the diagnostics a stage leaves of each cell; the rates are sums of max|a|/h over the directions
@@ -36,6 +37,9 @@ HEALTHY, TOO_COLD_FOR_GRID, NO_GAUSSIAN, NO_CORRECTION, NOT_POSITIVE, NOT_A_NUMB
 #: greatest depth dt tau/eps of a relaxation. A deeper one differs from the limit eps -> 0 by less than 1/DEEPEST, but 1
 #: beside its square is lost to rounding, and the explicit part with it
 DEEPEST = 1e12
+
+
+power = part(plain_power)
 
 
 class Grid(NamedTuple):
@@ -198,7 +202,7 @@ def cooled(thermal, density, d, cooling, dt):  # type: ignore[no-untyped-def]
 @part
 def relaxation_rate(model, density, temperature):  # type: ignore[no-untyped-def]
     """tau(rho, T)/eps of f."""
-    return model.relaxation * density**model.density_power * temperature**model.temperature_power
+    return model.relaxation * power(density, model.density_power) * power(temperature, model.temperature_power)
 
 
 @part

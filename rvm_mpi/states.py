@@ -15,6 +15,7 @@ import numpy as np
 
 from rvm_mpi.job_schema import INITIAL_STATES, Bkw, Section, TwoGaussians
 from rvm_mpi.job_text import JobError
+from rvm_mpi.units import power
 
 if TYPE_CHECKING:
     from rvm_mpi.job import Job
@@ -204,7 +205,7 @@ def temperature_disc(state: Any, block: Block) -> Fields:
     """
     squares = [(block.centres(axis) - at) ** 2 for axis, at in enumerate(state.centre)]
     distance = squares[0][None, :] + (squares[1][:, None] if len(squares) > 1 else 0.0)
-    inside = distance <= state.radius**2 * (1 + 1e-12)
+    inside = distance <= state.radius * state.radius * (1 + 1e-12)
     return block.fields(state.density, 0.0, np.where(inside, state.inner, state.outer))
 
 
@@ -320,14 +321,15 @@ def _overlaps(centres: np.ndarray, axis: int, job: Job, where: str) -> np.ndarra
 
 
 def _ends(edges: np.ndarray) -> str:
-    low, high = (f"{round(float(edge), 9) + 0.0:.9g}" for edge in edges[[0, -1]])
+    least = 1e-9 * float(edges[-1] - edges[0])
+    low, high = (f"{edge if abs(edge) > least else 0.0:.9g}" for edge in edges[[0, -1]].tolist())
     return f"{low} to {high}"
 
 
 def two_gaussians(state: Any, block: Block) -> Fields:
     """Moments of two Gaussians of variance sigma^2 at +-sigma (1, .., 1): Theta = sigma^2 (I + ones)."""
     density, velocity, stress = block.fields(1.0, 0.0, 0.0)
-    stress[...] = state.sigma**2 * (np.eye(block.dimensions) + np.ones((block.dimensions,) * 2))
+    stress[...] = state.sigma * state.sigma * (np.eye(block.dimensions) + np.ones((block.dimensions,) * 2))
     return density, velocity, stress
 
 
@@ -344,11 +346,11 @@ def distribution(job: Job) -> Callable[..., np.ndarray] | None:
     d, state = job.velocity.dimensions, job.initial
     if isinstance(state, TwoGaussians):
         sigma = state.sigma
+        volume = power(2 * np.pi * (sigma * sigma), d / 2)
 
         def two(*v: np.ndarray) -> np.ndarray:
             return 0.5 * sum(
-                np.exp(-0.5 * sum(((c + sign * sigma) / sigma) ** 2 for c in v)) / (2 * np.pi * sigma**2) ** (d / 2)
-                for sign in (-1.0, 1.0)
+                np.exp(-0.5 * sum(((c + sign * sigma) / sigma) ** 2 for c in v)) / volume for sign in (-1.0, 1.0)
             )
 
         return two

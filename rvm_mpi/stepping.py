@@ -36,6 +36,7 @@ from rvm_mpi.moments import fields, sums_about
 from rvm_mpi.simd import LANES, load, splat, total
 from rvm_mpi.stage import Cells, Model, Sides, Space, Work
 from rvm_mpi.states import distribution
+from rvm_mpi.units import GasUnits, power
 from rvm_mpi.velocity import VelocityGrid, Y, Z
 
 if TYPE_CHECKING:
@@ -99,7 +100,7 @@ class StepReport:
     Attributes
     ----------
     smallest, largest : float
-        Of g on this rank.
+        Of g on this rank, in the job's units.
     mismatch : float
         The largest relative mismatch of a cell's moments that the correction removed, on this rank.
     replaced : int
@@ -185,6 +186,9 @@ class KineticStepper:
 
     Attributes
     ----------
+    units : GasUnits
+        What g and xi are kept in: times these they are in the job's. Where nothing is rescaled, omega is one unit of
+        velocity in place of one.
     g : (ny + 2 wy, nx + 2 wx, block) array
         The rescaled distribution, ghost cells included.
     now : stage.Cells
@@ -200,7 +204,11 @@ class KineticStepper:
 
     def __init__(self, job: Job, domain: Domain, density: np.ndarray, velocity: np.ndarray, tensor: np.ndarray) -> None:
         self.job, self.domain = job, domain
-        self.velocity_grid = VelocityGrid.create(job.velocity.points, job.velocity.half_width)
+        hottest = np.trace(tensor, axis1=-2, axis2=-1).max() / job.velocity.dimensions
+        largest = domain.maximum(float(density.max()), float(hottest))
+        self.units = GasUnits.of(largest[0], largest[1], self.rescaled, job.velocity.dimensions)
+        half_width = tuple(v / self.units.velocity for v in job.velocity.half_width)
+        self.velocity_grid = VelocityGrid.create(job.velocity.points, half_width, self.units.density)
         self.grid = stage.kernel_grid(self.velocity_grid, job.scheme.drift)
         self.model = _model(job)
         wy, wx = domain.ghosts(GHOSTS)
@@ -220,7 +228,7 @@ class KineticStepper:
         self._run_sweep, self._fill_side = Direct(stage.sweep), Direct(fill_side)
         self._wall_work = np.zeros((5, self.grid.nodes.shape[1])), np.zeros(5)
         self.rates, self.share, self.cooling_rate = [0.0] * len(DRIFT_SHARES), 0, 0.0
-        self._operator = _operator(job, domain)
+        self._operator = _operator(job, domain, half_width[0])
         self._source = np.zeros((ny, nx, self.grid.block)) if self._operator else np.zeros((0, 0, 0))
         self._heating, self._penalty = np.zeros((ny, nx)), np.zeros((ny, nx))
         self._slowing = np.ones((ny, nx))
@@ -241,15 +249,15 @@ class KineticStepper:
 
     @property
     def omega(self) -> np.ndarray:
-        """omega (ny, nx) on this rank's own cells."""
-        return self._interior(self.now.omega)
+        """omega (ny, nx) on this rank's own cells: one where nothing is rescaled."""
+        return self._interior(self.now.omega) / self.units.velocity
 
     def state(self) -> tuple[np.ndarray, dict[str, np.ndarray], dict[str, np.ndarray]]:
         """What the next step depends on, as views without ghosts: g, fields of the cells, rates through the sides."""
         wy, wx = self.domain.ghosts(GHOSTS)
         nx, ny = self.domain.local
         g = self.g[wy : wy + ny, wx : wx + nx]
-        cells = {"omega": self.omega, "sums": self.now.sums}
+        cells = {"omega": self._interior(self.now.omega), "sums": self.now.sums}
         if self.model.kinetic or self.model.conservative:
             cells["carried"] = self.now.carried
         return g, cells, {name: self._through[SIDES.index(name)] for name in self._far}
@@ -264,7 +272,7 @@ class KineticStepper:
         d, grid = self.grid.dimensions, self.grid
         speed2 = np.sum(velocity**2, axis=-1)
         trace = np.trace(tensor, axis1=-2, axis2=-1)
-        omega = np.sqrt((trace + speed2) / d) if self.rescaled else np.ones_like(density)
+        omega = np.sqrt((trace + speed2) / d) if self.rescaled else np.full_like(density, self.units.velocity)
         self._interior(self.now.omega)[...] = omega
         self._omega_end[...] = omega
         mean = np.zeros((*density.shape, 3))
@@ -305,9 +313,10 @@ class KineticStepper:
         inner = self._interior(self.g)
         slab = (grid.points[0], grid.slab_size)
         for j, i in np.ndindex(density.shape):
-            omega = self.omega[j, i]
+            omega = float(self._interior(self.now.omega)[j, i])
             axes = [omega * velocity_grid.nodes[q, : grid.points[q]] for q in range(d)]
-            values = omega**d * density[j, i] * shape(*np.meshgrid(*axes, indexing="ij"))
+            scale = math.prod([omega] * d) * (density[j, i] / self.units.density)
+            values = scale * shape(*np.meshgrid(*axes, indexing="ij"))
             block = np.zeros(slab)
             block[:, : velocity_grid.slab_points] = values.reshape(grid.points[0], -1)
             target[0] = density[j, i] / grid.weight
@@ -325,7 +334,7 @@ class KineticStepper:
     def _refuse_state(self, worst: int, status: np.ndarray, mean: np.ndarray, packed: np.ndarray) -> None:
         what = "replaced by the nearest tensor" if worst == REPLACED else "impossible"
         half = max(self.job.velocity.half_width)
-        spacing = ", ".join(f"{h:.3g}" for h in self.velocity_grid.spacing[: self.grid.dimensions])
+        spacing = ", ".join(f"{h:.3g}" for h in self.job.velocity.spacing)
         raise JobError(
             f"{self.job.name}: velocity: the initial state does not fit the velocity grid (half width {half:g}, "
             f"spacing {spacing}): a Gaussian with its mean and temperature in some cell is {what}; "
@@ -426,8 +435,8 @@ class KineticStepper:
         }
         box_mass, box_energy = self.box_shares()
         return StepReport(
-            smallest=float(last[..., stage.SMALLEST].min()),
-            largest=float(last[..., stage.LARGEST].max()),
+            smallest=float(last[..., stage.SMALLEST].min()) * self.units.g,
+            largest=float(last[..., stage.LARGEST].max()) * self.units.g,
             mismatch=float(max(first[..., stage.MISMATCH].max(), last[..., stage.MISMATCH].max())),
             replaced=int((first[..., stage.GAUSSIANS_REPLACED] + last[..., stage.GAUSSIANS_REPLACED]).sum()),
             box_mass=box_mass,
@@ -466,7 +475,9 @@ class KineticStepper:
         assert self._operator is not None and collision.knudsen is not None and collision.exponent is not None
         ny, nx = self._heating.shape
         wy, wx = self.domain.ghosts(GHOSTS)
-        scale = self._interior(cells.omega) ** collision.exponent / collision.knudsen * self._slowing
+        # Q is quadratic in g: of the two units of density, one is that of the result
+        scale = power(self._interior(cells.omega), collision.exponent) / collision.knudsen * self.units.density
+        scale *= self._slowing
         values = grid.unpack(g[wy : wy + ny, wx : wx + nx]).reshape(ny, nx, *self.job.velocity.points)
         source = grid.unpack(self._source).reshape(values.shape)  # both are views
         self._operator.collide(values, source, scale)
@@ -627,7 +638,7 @@ class KineticStepper:
         """What is known of cell (i, j) of this rank when a run fails: arrays and numbers by name.
 
         `start` is what the step began with, `stage` what the last stage read, `result` what it wrote, as far as it
-        came; rows of `sums` are those of 1, xi, xi xi over the nodes.
+        came; `sums` are those of 1, xi, xi xi times g over the nodes.
         """
         begin, new = self.last.begin, self.last.new
         report: dict[str, Any] = {
@@ -637,7 +648,10 @@ class KineticStepper:
             "cooling_rate": float(self._diagnostics[j, i, stage.COOLING_RATE]),
         }
         for name, cells in (("start", self.now), ("stage", begin), ("result", new)):
-            report[name] = {"omega": float(self._interior(cells.omega)[j, i]), "sums": cells.sums[j, i]}
+            speed = self.units.velocity
+            xi = np.array([1.0, *[speed] * 3, *[speed * speed] * 6])
+            omega = float(self._interior(cells.omega)[j, i]) / speed
+            report[name] = {"omega": omega, "sums": cells.sums[j, i] * self.units.g * xi}
             if self.model.kinetic or self.model.conservative:
                 report[name]["carried"] = cells.carried[j, i]
         return report
@@ -645,13 +659,13 @@ class KineticStepper:
     def blocks(self, i: int, j: int) -> dict[str, np.ndarray]:
         """g of cell (i, j) of this rank that the last stage read and wrote, (points_x, points_y, points_z)."""
         return {
-            name: self.velocity_grid.unpack(self._interior(g)[j, i])
+            name: self.velocity_grid.unpack(self._interior(g)[j, i]) * self.units.g
             for name, g in (("stage", self.last.g), ("result", self.last.out))
         }
 
     def fields(self) -> dict[str, np.ndarray]:
         """Moments of f on this rank's cells (`moments.fields`)."""
-        return fields(self.g, self.omega, self.now.sums, self.space, self.grid)
+        return fields(self.g, self._interior(self.now.omega), self.now.sums, self.space, self.grid)
 
     def macroscopic(self) -> tuple[np.ndarray, np.ndarray]:
         """rho, rho u, E (ny, nx, 5) of f and its temperature (ny, nx): as carried, else from the sums of g."""
@@ -659,7 +673,7 @@ class KineticStepper:
         if self.model.conservative:
             state = self.now.carried
         else:
-            sums, omega, weight = self.now.sums, self.omega, self.grid.weight
+            sums, omega, weight = self.now.sums, self._interior(self.now.omega), self.grid.weight
             state = np.empty((*sums.shape[:2], 5))
             state[..., 0] = weight * sums[..., 0]
             state[..., 1:4] = weight * omega[..., None] * sums[..., 1:4]
@@ -669,11 +683,16 @@ class KineticStepper:
         return state, 2.0 * thermal / (d * density)
 
     def marginal(self) -> np.ndarray:
-        """First marginal of g: its integral over xi_y, xi_z, (ny, nx, points)."""
+        """First marginal of g: its integral over xi_y, xi_z, (ny, nx, points), at `marginal_nodes`."""
         nx, ny = self.domain.local
         wy, wx = self.domain.ghosts(GHOSTS)
         inner = self.velocity_grid.unpack(self.g[wy : wy + ny, wx : wx + nx])
-        return inner.sum(axis=(-2, -1)) * (self.grid.weight / self.velocity_grid.spacing[0])
+        return inner.sum(axis=(-2, -1)) * (self.grid.weight / self.velocity_grid.spacing[0] / self.units.velocity)
+
+    @property
+    def marginal_nodes(self) -> np.ndarray:
+        """xi_x of the nodes, (points,), in the job's units."""
+        return self.velocity_grid.x * self.units.velocity
 
 
 def _model(job: Job) -> Model:
@@ -694,8 +713,8 @@ def _model(job: Job) -> Model:
     )
 
 
-def _operator(job: Job, domain: Domain) -> BoltzmannOperator | None:
-    """The job's explicit collision operator; its weights are the node's."""
+def _operator(job: Job, domain: Domain, half_width: float) -> BoltzmannOperator | None:
+    """The job's explicit collision operator on a grid of this half width; its weights are the node's."""
     collision = job.collision
     if collision.operator != "boltzmann":
         return None
@@ -704,7 +723,7 @@ def _operator(job: Job, domain: Domain) -> BoltzmannOperator | None:
     restitution = 1.0 if collision.restitution is None else collision.restitution
     return BoltzmannOperator.create(
         points,
-        job.velocity.half_width[0],
+        half_width,
         restitution,
         collision.exponent,
         collision.cross_section,

@@ -34,7 +34,8 @@ class VelocityGrid:
     slab_points, slab_size, block : int
         (y, z) nodes of a slab, the same padded to whole vectors, and doubles a cell.
     weight : float
-        Volume of a velocity cell, the product of the spacings of the axes in use.
+        Volume of a velocity cell, the product of the spacings of the axes in use, times the unit of density that values
+        on the grid are kept in: their sum times this is the density.
     x, x_face : (points_x,) array
         Nodes, and the face above each (the last one, the edge of the box, is closed).
     slab : (11 + TAPS, slab_size) array
@@ -61,8 +62,8 @@ class VelocityGrid:
     nodes: np.ndarray
 
     @classmethod
-    def create(cls, points: tuple[int, ...], half_width: tuple[float, ...]) -> VelocityGrid:
-        """The grid with the given number of points and half width in each direction in use."""
+    def create(cls, points: tuple[int, ...], half_width: tuple[float, ...], density: float = 1.0) -> VelocityGrid:
+        """The grid with the given number of points and half width in each direction in use, and unit of density."""
         unused = 3 - len(points)
         nx, ny, nz = (*points, *(1,) * unused)
         widths = (*(float(v) for v in half_width), *(0.0,) * unused)
@@ -97,7 +98,7 @@ class VelocityGrid:
             slab_points=slab_points,
             slab_size=slab_size,
             block=nx * slab_size,
-            weight=float(np.prod(spacing[: len(points)])),
+            weight=density * float(np.prod(spacing[: len(points)])),
             x=axes[0],
             x_face=(2 * np.arange(nx) + 2 - nx) * (0.5 * spacing[0]),
             slab=slab,

@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from rvm_mpi.fluid.walls import GHOSTS, Side
-from rvm_mpi.fluid.weno import weno5
+from rvm_mpi.fluid.weno import FLAT, weno5
 from rvm_mpi.kernels import kernel, part
 from rvm_mpi.simd import LANES, load, maximum, minimum, splat, store, where_positive
 
@@ -42,12 +42,13 @@ HALVINGS = 8
 # In the sweep's work array a slot is a vector: a number for each of the rows (or columns) that are swept together.
 # First come the slots of a face: its average state and speeds, then what the characteristic fields carry.
 _MEAN, _KINETIC, _ENTHALPY, _BOUND = (LANES * slot for slot in (0, 5, 6, 7))  # _MEAN: u, v, w, c^2, c
-_FIELD, _RIGHTWARD, _LEFTWARD, _FACE = (LANES * slot for slot in (10, 15, 45, 75))
+_FLAT, _SHEAR_FLAT = LANES * 10, LANES * 11  # what `weno5` takes for no roughness, of the fields and of the two shears
+_FIELD, _RIGHTWARD, _LEFTWARD, _FACE = (LANES * slot for slot in (12, 17, 47, 77))
 
 # Then records, each a cell and the face on its right. The conserved variables come first (density, normal momentum, two
 # tangential momenta, energy), then their fluxes.
 _STATE, _FLUX = 0, LANES * 5
-_VELOCITY, _FASTEST, _SPEED = LANES * 10, LANES * 15, LANES * 16  # u, v, w, c^2, root of density; |u - c|, |u|, |u + c|
+_VELOCITY, _FASTEST, _SPEED = LANES * 10, LANES * 15, LANES * 16  # u, v, w, c^2, density; |u - c|, |u|, |u + c|
 _HIGH, _LOW = LANES * 19, LANES * 24  # both fluxes
 _FIRST, _INNER = LANES * 29, LANES * 34  # the first-order update and its internal energy
 _RECORD = LANES * 35
@@ -84,7 +85,7 @@ def _complete(work, cell, gamma):  # type: ignore[no-untyped-def]
     sound2 = gamma * pressure / density
     sound = math.sqrt(sound2)
     _keep(work, cell + _FLUX, normal, normal * u + pressure, first * u, second * u, (energy + pressure) * u)
-    _keep(work, cell + _VELOCITY, u, v, w, sound2, math.sqrt(density))
+    _keep(work, cell + _VELOCITY, u, v, w, sound2, density)
     store(work, cell + _FASTEST, abs(u) + sound)
     store(work, cell + _SPEED, abs(u - sound))
     store(work, cell + _SPEED + LANES, abs(u))
@@ -107,6 +108,9 @@ def _mean_state(work, stencil, gamma):  # type: ignore[no-untyped-def]
     """Roe's average of the two cells beside the face; the largest speed of each field over the six cells."""
     ul, vl, wl, left, a = _five(work, stencil + 2 * _RECORD + _VELOCITY)
     ur, vr, wr, right, b = _five(work, stencil + 3 * _RECORD + _VELOCITY)
+    # roots of ratios: those of the densities would round otherwise in a unit twice as large
+    larger = maximum(a, b)
+    a, b = math.sqrt(a / larger), math.sqrt(b / larger)
     total = a + b
     a, b = a / total, b / total
     u, v, w = a * ul + b * ur, a * vl + b * vr, a * wl + b * wr
@@ -123,6 +127,23 @@ def _mean_state(work, stencil, gamma):  # type: ignore[no-untyped-def]
         for s in range(1, 6):
             fastest = maximum(fastest, load(work, stencil + s * _RECORD + _SPEED + field))
         store(work, _BOUND + field, fastest)
+
+
+@part(fused=False)
+def _flatness(work, stencil):  # type: ignore[no-untyped-def]
+    """What is no roughness of the split fluxes of six cells: `FLAT` of their natural sizes, squared.
+
+    They are those of mass, rho (|u| + c), and of shear momentum, rho (|u| + c)^2, and not the stencil's own numbers: a
+    shear may be zero everywhere, or no more than rounding.
+    """
+    density, speed = load(work, stencil + _STATE), load(work, stencil + _FASTEST)
+    for s in range(1, 6):
+        density = maximum(density, load(work, stencil + s * _RECORD + _STATE))
+        speed = maximum(speed, load(work, stencil + s * _RECORD + _FASTEST))
+    mass = (density * FLAT) * speed
+    shear = mass * speed
+    store(work, _FLAT, mass * mass)
+    store(work, _SHEAR_FLAT, shear * shear)
 
 
 @part(fused=False)
@@ -170,10 +191,11 @@ def _reconstruct(work):  # type: ignore[no-untyped-def]
     step = 5 * LANES
     for field in range(0, 5 * LANES, LANES):
         p, m = _RIGHTWARD + field, _LEFTWARD + field
+        flat = load(work, _SHEAR_FLAT if field == 2 * LANES or field == 3 * LANES else _FLAT)
         a, b, c = load(work, p), load(work, p + step), load(work, p + 2 * step)
-        from_left = weno5(a, b, c, load(work, p + 3 * step), load(work, p + 4 * step))
+        from_left = weno5(a, b, c, load(work, p + 3 * step), load(work, p + 4 * step), flat)
         a, b, c = load(work, m + 5 * step), load(work, m + 4 * step), load(work, m + 3 * step)
-        from_right = weno5(a, b, c, load(work, m + 2 * step), load(work, m + step))
+        from_right = weno5(a, b, c, load(work, m + 2 * step), load(work, m + step), flat)
         store(work, _FIELD + field, from_left + from_right)
 
 
@@ -181,6 +203,7 @@ def _reconstruct(work):  # type: ignore[no-untyped-def]
 def _high_flux(work, stencil, gamma):  # type: ignore[no-untyped-def]
     """WENO5 flux at the face between the third and the fourth of six cells, kept with the third."""
     _mean_state(work, stencil, gamma)
+    _flatness(work, stencil)
     for s in range(6):
         _project(work, stencil + s * _RECORD, s * 5 * LANES, gamma)
     _reconstruct(work)

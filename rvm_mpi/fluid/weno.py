@@ -2,7 +2,8 @@
 
 The weights are those of WENO-Z with the exponent 2: R. Borges, M. Carmona, B. Costa, W. S. Don, J. Comput.
 Phys. 227 (2008); M. Castro, B. Costa, W. S. Don, J. Comput. Phys. 230 (2011). They keep fifth order at simple
-extrema, where the weights of Jiang and Shu fall to third, and depend on no scale of the solution.
+extrema, where the weights of Jiang and Shu fall to third, and depend on no scale of the solution: what keeps 0/0 out
+of them is relative to the gas, not to the unit that its density is measured in.
 """
 
 from __future__ import annotations
@@ -12,12 +13,13 @@ from rvm_mpi.kernels import part
 # No fused multiply-adds in the fluid's kernels: which product of a*b + c*d is fused is the compiler's choice, and would
 # tell left from right and x from y in the last bit.
 
-#: keeps 0/0 out of the weights
-TINY = 1e-40
+#: differences of this part of a field's natural size are none: far below rounding, so that a thin gas beside a dense one
+#: still has weights of its own
+FLAT = 1e-20
 
 
 @part(fused=False)
-def weno5(a, b, c, d, e):  # type: ignore[no-untyped-def]
+def weno5(a, b, c, d, e, flat):  # type: ignore[no-untyped-def]
     """Value at the face between c and d of the function whose cell averages are a to e, upwind from the left.
 
     From the right: the same with the five cells in reverse order.
@@ -26,6 +28,9 @@ def weno5(a, b, c, d, e):  # type: ignore[no-untyped-def]
     ----------
     a, b, c, d, e : floats, or vectors of `simd.py`
         Averages over five consecutive cells.
+    flat : float or vector
+        A square, positive, below which the roughness of five averages is none; must not be that of the averages
+        themselves, which may all be zero.
 
     Returns
     -------
@@ -41,9 +46,9 @@ def weno5(a, b, c, d, e):  # type: ignore[no-untyped-def]
     rough_b = (13.0 / 12.0) * (bend_b * bend_b) + 0.25 * (slope_b * slope_b)
     rough_c = (13.0 / 12.0) * (bend_c * bend_c) + 0.25 * (slope_c * slope_c)
     difference = abs(rough_a - rough_c)
-    ratio_a = difference / (rough_a + TINY)
-    ratio_b = difference / (rough_b + TINY)
-    ratio_c = difference / (rough_c + TINY)
+    ratio_a = difference / (rough_a + flat)
+    ratio_b = difference / (rough_b + flat)
+    ratio_c = difference / (rough_c + flat)
     weight_a = 1.0 + ratio_a * ratio_a
     weight_b = 6.0 * (1.0 + ratio_b * ratio_b)
     weight_c = 3.0 * (1.0 + ratio_c * ratio_c)
