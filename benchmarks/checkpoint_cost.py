@@ -24,6 +24,7 @@ JOB = {
     "space": {"cells": [64, 64]},
     "velocity": {"points": [24, 24, 8]},
     "collision": {"operator": "granular-es-bgk", "knudsen": 0.01, "restitution": 0.99},
+    "fluid": {"enabled": True},
     "initial": {"state": "random-density", "low": 0.1},
     "time": {"end": 1.0},
 }

@@ -62,6 +62,7 @@ from rvm_mpi.domain import Domain, aligned  # noqa: E402
 
 JOB = {
     "collision": {"operator": "granular-es-bgk", "knudsen": 0.01, "restitution": 0.99},
+    "fluid": {"enabled": True},
     "initial": {"state": "random-density", "low": 0.2},
     "time": {"end": 1e3},
 }

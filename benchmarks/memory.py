@@ -82,6 +82,7 @@ def measured(job: dict, ranks: int) -> dict[str, float]:
     """What `of_rank` prints for a job on so many ranks."""
     whole = {
         "collision": GRANULAR,
+        "fluid": {"enabled": True},
         "initial": RANDOM,
         **job,
         "time": {"end": 1e3, "max_steps": 2},

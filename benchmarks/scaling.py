@@ -41,6 +41,7 @@ def job_of(cells: list[int], velocity: list[int], steps: int) -> dict:
         "space": {"cells": cells},
         "velocity": {"points": velocity},
         "collision": {"operator": "granular-es-bgk", "knudsen": 0.01, "restitution": 0.99},
+        "fluid": {"enabled": True},
         "initial": {"state": "random-density", "low": 0.2},
         "time": {"end": 1e3, "max_steps": steps},
     }

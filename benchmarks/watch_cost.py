@@ -21,6 +21,7 @@ JOB = {
     "space": {"cells": [12, 12]},
     "velocity": {"points": POINTS},
     "collision": {"operator": "granular-es-bgk", "knudsen": 0.1, "restitution": 0.9},
+    "fluid": {"enabled": True},
     "initial": {"state": "random-density", "low": 0.5},
     "time": {"end": 1.0},
 }

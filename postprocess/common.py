@@ -7,7 +7,7 @@ import sys
 from collections.abc import Callable, Sequence
 from itertools import takewhile
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import matplotlib
 
@@ -21,14 +21,18 @@ if str(ROOT) not in sys.path:  # a checkout works without installing the package
     sys.path.append(str(ROOT))
 
 from rvm_mpi import results  # noqa: E402
+from rvm_mpi.job import Job, JobError  # noqa: E402
 
 if TYPE_CHECKING:
     import xarray
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 MOST_COLUMNS = 6
 # panels of fixed aspect move together where matplotlib can do that (3.6)
 COMPRESSED = {"layout": "compressed"} if hasattr(plt.Figure, "set_layout_engine") else {}
+ROUNDING = 1e-10
+"""What varies by less than this times its unit is drawn as a constant."""
 FLUID = {"color": "tab:orange", "linestyle": "--"}
 KINETIC = {"color": "tab:blue", "linestyle": "-"}
 
@@ -50,13 +54,21 @@ class PlotError(Exception):
     """What was asked for cannot be drawn; the text is the one line to show."""
 
 
+class Parser(argparse.ArgumentParser):
+    """An ArgumentParser that says in one line, too, what is wrong with the arguments."""
+
+    def error(self, message: str) -> NoReturn:
+        """Leave with status 2 and a line."""
+        self.exit(2, f"{self.prog}: {message} (--help lists the options)\n")
+
+
 def run_script(draw: Callable[[argparse.Namespace], None], parser: argparse.ArgumentParser, argv) -> int:
     """Parse the arguments and draw; 0 when done, 2 with one line on stderr when it cannot be done."""
     options = parser.parse_args(argv)
     try:
         draw(options)
-    except (PlotError, OSError, ValueError) as error:
-        print(f"{parser.prog}: {error}", file=sys.stderr)
+    except (PlotError, JobError, OSError, ValueError, KeyError) as error:
+        print(f"{parser.prog}: {' '.join(str(error).split())}", file=sys.stderr)
         return 2
     finally:
         plt.close("all")
@@ -65,7 +77,7 @@ def run_script(draw: Callable[[argparse.Namespace], None], parser: argparse.Argu
 
 def parser_for(doc: str, several: bool = False, times: bool = True) -> argparse.ArgumentParser:
     """The arguments all scripts have: the run directory or directories, and which times."""
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         description=doc, formatter_class=argparse.RawDescriptionHelpFormatter, allow_abbrev=False
     )
     if several:
@@ -131,6 +143,14 @@ def field(run: xarray.Dataset, model: str, quantity: str) -> np.ndarray:
     return run[f"{model}_{quantity}"].values
 
 
+def unit(run: xarray.Dataset, model: str, quantity: str) -> np.ndarray:
+    """What a quantity is small against if it is nought, at each stored time: of a velocity the thermal speed."""
+    values = field(run, model, quantity)
+    if quantity.startswith("velocity"):
+        values = np.sqrt(np.maximum(field(run, model, "temperature"), 0.0))
+    return np.abs(values).max(axis=tuple(range(1, values.ndim)))
+
+
 def models(run: xarray.Dataset) -> list[str]:
     """Which solutions the run holds: "kinetic", and "fluid" if it is there."""
     return ["kinetic", "fluid"] if "fluid_density" in run else ["kinetic"]
@@ -142,10 +162,29 @@ def cell_edges(centres: np.ndarray) -> tuple[float, float]:
     return float(centres[0] - half), float(centres[-1] + half)
 
 
-def title_of(*runs: xarray.Dataset) -> str:
+def title_of(*runs: xarray.Dataset | Job) -> str:
     """The job's title, of several runs what theirs share up to a colon, safe for matplotlib's mathematics."""
-    parts = zip(*(str(run.attrs.get("title", "")).split(":") for run in runs))
+    titles = (run.title if isinstance(run, Job) else str(run.attrs.get("title", "")) for run in runs)
+    parts = zip(*(title.split(":") for title in titles))
     return ":".join(part[0] for part in takewhile(lambda part: len(set(part)) == 1, parts)).replace("$", r"\$")
+
+
+def titled(what: str, *runs: xarray.Dataset | Job) -> str:
+    """The title of a figure: the job's, and what is shown of it."""
+    return " – ".join(part for part in (title_of(*runs), what) if part)
+
+
+def where_cut(run: xarray.Dataset, along: str, what: str) -> str:
+    """What is shown, and of two space dimensions where the cut lies that it is shown along."""
+    if run.kinetic_density.ndim < 3:
+        return what
+    other = "y" if along == "x" else "x"
+    return f"{what} along ${along}$ at ${other} = {np.mean(cell_edges(run[other].values)):g}$"
+
+
+def legend_below(axis: Axes, columns: int = 2, **more: Any):
+    """A legend under an axis and its label, where no curve can run through it."""
+    axis.legend(loc="upper center", bbox_to_anchor=(0.5, -0.16), ncol=columns, **more)
 
 
 def save(figure: Figure, directory: Path, name: str):

@@ -1,7 +1,8 @@
-"""Contour plots of a run in two space dimensions: kinetic above fluid, one column for each time.
+"""Maps of a run in two space dimensions, a colour for each cell: kinetic above fluid, one column for each time.
 
-One figure each for density, the velocity components in the plane and temperature, the same colour limits in
-both rows, and an overview of all of them at the last time. PNG and PDF into DIR/figures.
+One figure each for density, the velocity components in the plane and temperature, and an overview of all of them at
+the last time. Kinetic and fluid have colour limits of their own, unless --limits shared; --no-fluid or --no-kinetic
+leaves one of them out. PNG and PDF into DIR/figures.
 
     python postprocess/contours.py runs/test4_clustering --times 0 0.25 1 5 10 30
 """
@@ -15,19 +16,28 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.ticker import MaxNLocator
 
-BANDS = 33  # odd, so that velocities about zero are white
 COLOURS = {"density": "viridis", "temperature": "cividis"}  # velocities: diverging, symmetric about zero
 
 
 def main(argv=None) -> int:
-    """Draw the contour plots of one run directory; the exit status."""
+    """Draw the maps of one run directory; the exit status."""
     parser = common.parser_for(__doc__)
     parser.add_argument(
         "--scale",
-        choices=("shared", "per-time"),
-        default="shared",
-        help="colour limits: the same at all times, or one pair of limits and one colour bar for each time",
+        choices=("auto", "shared", "per-time"),
+        default="auto",
+        help="colour limits over time: the same at all times, or others at each; by default the same, but where "
+        "they would leave what is to be seen at some time in a tenth of the colours",
     )
+    parser.add_argument(
+        "--limits",
+        choices=("own", "shared"),
+        default="own",
+        help="colour limits of kinetic and fluid: each its own, or the same for both",
+    )
+    alone = parser.add_mutually_exclusive_group()
+    alone.add_argument("--no-fluid", action="store_true", help="the kinetic solution alone")
+    alone.add_argument("--no-kinetic", action="store_true", help="the fluid alone")
     return common.run_script(_draw, parser, argv)
 
 
@@ -38,55 +48,73 @@ def _draw(options):
         raise common.PlotError(
             f"{options.directory} has {run.kinetic_density.ndim - 1} space dimensions: use {other}"
         )
+    models = [model for model in common.models(run) if not getattr(options, f"no_{model}")]
+    if not models:
+        raise common.PlotError(f"{options.directory} holds no fluid: nothing is left without the kinetic solution")
     chosen = common.choose_times(run, options.times)
+    own = options.limits == "own"
     for quantity, label in common.quantities(run).items():
-        figure = _by_time(run, quantity, label, chosen, options.scale)
+        figure = _by_time(run, quantity, label, chosen, options.scale, models, own)
         common.save(figure, options.directory, f"contours_{quantity}")
-    common.save(_overview(run, chosen[-1]), options.directory, "contours_last")
+    common.save(_overview(run, chosen[-1], models, own), options.directory, "contours_last")
 
 
-def _by_time(run, quantity, label, chosen, scale):
-    """Times from left to right, kinetic above fluid."""
-    fields = {model: common.field(run, model, quantity)[chosen] for model in common.models(run)}
-    figure, axes = _panels(run, len(fields), len(chosen), bars_below=scale == "per-time")
-    shared = _limits(quantity, *fields.values())
-    for column, index in enumerate(chosen):
-        here = _limits(quantity, *(values[column] for values in fields.values()))
-        for row, values in enumerate(fields.values()):
-            drawn = _contours(
-                axes[row, column], run, values[column], quantity, here if scale == "per-time" else shared
-            )
-        axes[0, column].set_title(common.time_label(float(run.time[index])))
-        if scale == "per-time":
-            _colour_bar(figure, drawn, axes[:, column], "", below=True)
-    if scale == "shared":
-        _colour_bar(figure, drawn, axes, label)
-        _hint(quantity, fields, shared)
-    figure.suptitle(f"{common.title_of(run)} – {label}")
+def _by_time(run, quantity, label, chosen, scale, models, own=True):
+    """Times from left to right, one row for each model; a colour bar for all panels that share their limits."""
+    fields = np.stack([common.field(run, model, quantity)[chosen] for model in models])
+    units = np.stack([common.unit(run, model, quantity)[chosen] for model in models])
+    rows = _together(len(models), not own)
+    if scale == "auto":
+        scale = "per-time" if any(_fades(quantity, fields[some], units[some]) for some in rows) else "shared"
+    figure, axes = _panels(run, models, len(chosen), bars_below=len(rows) if scale == "per-time" else 0)
+    for some_rows in rows:
+        for some_columns in _together(len(chosen), scale == "shared"):
+            part = np.ix_(some_rows, some_columns)
+            drawn = _maps(axes[part], run, fields[part], quantity, units[part].max())
+            if scale == "per-time":
+                _colour_bar(figure, drawn, axes[part], "", below=True)
+            else:
+                _colour_bar(figure, drawn, axes[part], label if len(rows) == 1 else f"{models[some_rows[0]]} {label}")
+    for axis, index in zip(axes[0], chosen):
+        axis.set_title(common.time_label(float(run.time[index])))
+    figure.suptitle(common.titled(label, run))
     return figure
 
 
-def _overview(run, index):
-    """All quantities at one time from left to right, kinetic above fluid, one colour bar for each pair."""
+def _together(count, shared):
+    """Numbers of the rows or columns that share their limits: all of them, or each its own."""
+    return [list(range(count))] if shared else [[number] for number in range(count)]
+
+
+def _fades(quantity, fields, units):
+    """Whether limits for all times would leave what varies at one of them in a tenth of the colours."""
+    low, high = _limits(quantity, fields, units.max())
+    varies = np.ptp(fields, axis=(0, -2, -1))
+    return bool(((varies > common.ROUNDING * units.max(axis=0)) & (varies < 0.1 * (high - low))).any())
+
+
+def _overview(run, index, models, own=True):
+    """All quantities at one time from left to right, one row for each model."""
     names = common.quantities(run)
-    models = common.models(run)
-    figure, axes = _panels(run, len(models), len(names), bars_below=True)
+    rows = _together(len(models), not own)
+    figure, axes = _panels(run, models, len(names), bars_below=len(rows))
     for column, (quantity, label) in enumerate(names.items()):
-        fields = [common.field(run, model, quantity)[index] for model in models]
-        limits = _limits(quantity, *fields)
-        for row, values in enumerate(fields):
-            drawn = _contours(axes[row, column], run, values, quantity, limits)
+        for some in rows:
+            fields = np.stack([common.field(run, models[row], quantity)[index] for row in some])
+            unit = max(common.unit(run, models[row], quantity)[index] for row in some)
+            drawn = _maps(axes[some, column], run, fields, quantity, unit)
+            _colour_bar(figure, drawn, axes[some, column], "", below=True)
         axes[0, column].set_title(label)
-        _colour_bar(figure, drawn, axes[:, column], "", below=True)
-    figure.suptitle(f"{common.title_of(run)} – {common.time_label(float(run.time[index]))}")
+    figure.suptitle(common.titled(common.time_label(float(run.time[index])), run))
     return figure
 
 
-def _panels(run, rows, columns, bars_below):
-    """A grid of panels of the domain's shape, labelled on the outside only."""
+def _panels(run, models, columns, bars_below):
+    """A grid of panels of the domain's shape, labelled on the outside only; room for so many rows of bars below."""
     (left, right), (bottom, top) = common.cell_edges(run.x.values), common.cell_edges(run.y.values)
     shape = (top - bottom) / (right - left)
     width = min(max(11.0 / columns, 1.9), 3.2)
+    rows = len(models)
     size = (columns * width + 1.3, rows * (width * shape + 0.15) + 0.9 + 0.6 * bars_below)
     figure, axes = plt.subplots(
         rows, columns, figsize=size, sharex=True, sharey=True, squeeze=False, **common.COMPRESSED
@@ -99,65 +127,52 @@ def _panels(run, rows, columns, bars_below):
         axis.yaxis.set_major_locator(MaxNLocator(4))
     for axis in axes[-1]:
         axis.set_xlabel("$x$")
-    for axis, model in zip(axes[:, 0], common.models(run), strict=True):
-        axis.set_ylabel(f"{model}\n$y$" if rows > 1 else "$y$")
+    for axis, model in zip(axes[:, 0], models, strict=True):
+        axis.set_ylabel(f"{model}\n$y$" if rows > 1 or model == "fluid" else "$y$")
     return figure, axes
 
 
-def _limits(quantity, *fields):
+def _limits(quantity, fields, unit):
     """Colour limits of all these fields: symmetric about zero for velocities, never empty."""
-    low = min(float(np.min(values)) for values in fields)
-    high = max(float(np.max(values)) for values in fields)
-    if quantity.startswith("velocity"):
-        largest = max(-low, high)
-        low, high = (-largest, largest) if largest > 1e-12 else (-1.0, 1.0)
+    low, high = float(np.min(fields)), float(np.max(fields))
     if not np.isfinite([low, high]).all():
         raise common.PlotError(f"the {quantity} is not finite everywhere")
-    middle = (low + high) / 2
-    if high - low <= 1e-10 * abs(middle):
+    if quantity.startswith("velocity"):
+        largest = max(-low, high)
+        return (-largest, largest) if largest > common.ROUNDING * unit else (-(unit or 1.0), unit or 1.0)
+    if high - low <= common.ROUNDING * unit:
+        middle = (low + high) / 2
         margin = 0.05 * abs(middle) or 1.0
         return middle - margin, middle + margin
     return low, high
 
 
-def _contours(axis, run, values, quantity, limits):
-    """Filled contours up to the edges of the domain, where the outermost cells' values are carried on."""
-    x, y = (
-        np.concatenate([[edges[0]], centres, [edges[1]]])
-        for centres, edges in (
-            (run.x.values, common.cell_edges(run.x.values)),
-            (run.y.values, common.cell_edges(run.y.values)),
-        )
-    )
-    drawn = axis.contourf(
-        x,
-        y,
-        np.pad(values, 1, mode="edge"),
-        levels=np.linspace(*limits, BANDS + 1),
-        cmap=COLOURS.get(quantity, "RdBu_r"),
-        zorder=-10,
-    )
-    axis.set_rasterization_zorder(0)  # thousands of polygons as one picture, so that the PDF stays small
+def _maps(axes, run, fields, quantity, unit):
+    """A colour for each cell, in panels (any shape) with the same limits; fields of that shape and (y, x)."""
+    low, high = _limits(quantity, fields, unit)
+    for axis, values in zip(axes.flat, fields.reshape(-1, *fields.shape[-2:]), strict=True):
+        x, values = _drawable(run.x.values, values)
+        y, values = _drawable(run.y.values, values.T)
+        colours = COLOURS.get(quantity, "RdBu_r")
+        drawn = axis.pcolormesh(x, y, values.T, shading="nearest", vmin=low, vmax=high, cmap=colours, rasterized=True)
     return drawn
+
+
+def _drawable(centres, values):
+    """Centres and values along the last axis; a single cell as two halves, whose width can be told."""
+    if len(centres) > 1:
+        return centres, values
+    edges = common.cell_edges(centres)
+    return np.average([edges, edges[::-1]], axis=0, weights=[3, 1]), np.repeat(values, 2, axis=-1)
 
 
 def _colour_bar(figure, drawn, axes, label, below=False):
     where = {"location": "bottom", "aspect": 18, "pad": 0.02} if below else {"aspect": 30, "pad": 0.01}
     bar = figure.colorbar(drawn, ax=axes, shrink=0.95, **where)
     bar.ax.minorticks_off()
-    if bar.solids is not None:
-        bar.solids.set_edgecolor("face")  # no white lines between the bands in PDF viewers
     bar.locator = MaxNLocator(4 if below else 7)
     bar.update_ticks()
     bar.set_label(label)
-
-
-def _hint(quantity, fields, shared):
-    """Say so if the shared limits leave the last time in hardly more than one colour."""
-    for model, values in fields.items():
-        part = np.ptp(values[-1]) / (shared[1] - shared[0])
-        if len(values) > 1 and np.ptp(values) > 0 and part < 0.1:
-            print(f"# {quantity}, {model}: the last time has {part:.1%} of the colours; see --scale per-time")
 
 
 if __name__ == "__main__":

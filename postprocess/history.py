@@ -1,8 +1,9 @@
 """How a run went: cooling beside Haff's law, the density's deviation from uniform, the health of the numbers.
 
-Three figures into DIR/figures, as PNG and PDF: history_cooling (mean temperature and energy), history_density
-(variance of the density, and its L1 deviation from the mean with the fitted rate of damping in log t), and
-history_health (errors of mass, momentum and energy, smallest g, size of the correction).
+Three figures into DIR/figures, as PNG and PDF: history_cooling (mean temperature and energy; where the gas cools by
+Haff's law, the temperature beside it, and both over it), history_density (variance of the density, and its L1
+deviation from the mean with the fitted rate of damping in log t), and history_health (errors of mass, momentum and
+energy, smallest g, size of the correction).
 
     python postprocess/history.py runs/test4_clustering
 """
@@ -19,6 +20,8 @@ from rvm_mpi import results
 from rvm_mpi.job import Job
 
 FEWEST_FOR_A_FIT = 6
+NOUGHT = 1e-17
+"""Errors below this, zero among them, are drawn here on a logarithmic axis."""
 
 
 def main(argv=None) -> int:
@@ -117,10 +120,12 @@ def _draw(options):
 
 
 def _cooling(run, job, history):
-    figure, (left, right) = plt.subplots(1, 2, figsize=(8.6, 3.6))
+    """The mean temperature, beside Haff's law where the gas is granular; energy and temperature over that law."""
+    figure, (left, right) = plt.subplots(1, 2, figsize=(8.6, 3.9))
     cooling, time = job.collision.cooling, history["time"]
     granular = cooling > 0
     shown = time > 0 if granular else slice(None)
+    start, unit = history["energy"][0], 1.0
     left.plot(time[shown], history["mean_temperature"][shown], **common.KINETIC, label="kinetic")
     if _is_there(history, "fluid_mean_temperature"):
         left.plot(time[shown], history["fluid_mean_temperature"][shown], **common.FLUID, label="fluid")
@@ -129,36 +134,51 @@ def _cooling(run, job, history):
         later = run.time.values > 0 if granular else slice(None)
         left.plot(run.time.values[later], temperature[later], "s", color="tab:orange", ms=4, label="fluid")
     if granular:
-        start, density = mean_temperature(run, "kinetic")[0], run.kinetic_density.values[0].mean()
-        law = haff(time[shown], start, density, cooling)
+        first, density = mean_temperature(run, "kinetic")[0], run.kinetic_density.values[0].mean()
+        law = haff(time[shown], first, density, cooling)
         left.plot(time[shown], law, color="black", ls=":", label="Haff's law at the mean density")
-        left.set_xscale("log")
-        left.set_yscale("log")
+        unit = law / first
+        over = history["mean_temperature"][shown] / law
+        right.plot(time[shown], over, color="tab:green", ls="-.", label="kinetic, temperature")
+        right.axhline(1.0, color="black", ls=":", lw=1)
+    for name, style in (("energy", common.KINETIC), ("fluid_energy", common.FLUID)):
+        if _is_there(history, name):
+            model = "fluid" if name.startswith("fluid") else "kinetic"
+            right.plot(time[shown], history[name][shown] / start / unit, **style, label=f"{model}, energy")
     left.set_ylabel(r"mean temperature $\langle \rho T \rangle / \langle \rho \rangle$")
-    start = history["energy"][0]
-    right.plot(time[shown], history["energy"][shown] / start, **common.KINETIC, label="kinetic")
-    if _is_there(history, "fluid_energy"):
-        right.plot(time[shown], history["fluid_energy"][shown] / start, **common.FLUID, label="fluid")
-    right.set_ylabel("energy / kinetic energy at the start")
+    right.set_ylabel("over Haff's law at the mean density" if granular else "energy / kinetic energy at the start")
     if granular:
-        right.set_xscale("log")
-        right.set_yscale("log")
+        left.set_yscale("log")
+    _scale_of_a_ratio(right)
     for axis in (left, right):
         axis.set_xlabel("$t$")
         if granular:
+            axis.set_xscale("log")
             axis.set_xlim(max(time[1], 1e-3 * time[-1]), 1.2 * time[-1])
-        axis.legend()
-    figure.suptitle(common.title_of(run))
+        common.legend_below(axis)
+    figure.suptitle(common.titled("mean temperature and energy", run))
     return figure
 
 
+def _scale_of_a_ratio(axis):
+    """An axis for what is about 1: a constant as one, not as its rounding errors; decades where it has some."""
+    low, high = axis.dataLim.y0, axis.dataLim.y1
+    if high > 20 * low > 0:
+        axis.set_yscale("log")
+        return
+    if high - low < 1e-3:
+        axis.set_ylim(min(low, 0.999), max(high, 1.001))
+    axis.ticklabel_format(axis="y", useOffset=False)
+
+
 def _density(run, history):
-    figure, (left, right) = plt.subplots(1, 2, figsize=(8.6, 3.6))
+    figure, (left, right) = plt.subplots(1, 2, figsize=(8.6, 3.9))
     time = run.time.values
     later = time[time > 0]
-    wide = len(later) > 1 and later[-1] > 20 * later[0]
+    wide = len(later) > 1 and later[-1] >= 20 * later[0]
     shown = time > 0 if wide else slice(None)
-    steps = history["time"] >= (later[0] if wide else 0)
+    since = min(later[0], max(history["time"][1], 1e-3 * later[-1])) if wide else 0.0
+    steps = history["time"] >= since
 
     def draw(axis, style, values, column, label):
         """The history of every step with the snapshots as points, or these alone."""
@@ -190,35 +210,37 @@ def _density(run, history):
     right.set_ylabel(r"mean of $|\rho - \overline{\rho}|$")
     for axis in (left, right):
         axis.set_xlabel("$t$")
-        axis.legend()
-    figure.suptitle(common.title_of(run))
+        common.legend_below(axis)
+    figure.suptitle(common.titled("how far the density is from its mean", run))
     return figure
 
 
 def _health(run, history):
     corrections = [name for name in history if name.startswith("correction")]
-    figure, axes = plt.subplots(1, 2 + bool(corrections), figsize=(8.6 + 3 * bool(corrections), 3.4))
+    figure, axes = plt.subplots(1, 2 + bool(corrections), figsize=(8.6 + 3 * bool(corrections), 3.8))
     time = history["time"]
     for name, values in errors(history).items():
-        size = np.abs(values)
-        axes[0].plot(time, np.where(size > 0, size, np.nan), lw=1, label=name)
-    axes[0].set_ylabel("relative error")
-    axes[0].set_yscale("log")
-    axes[0].legend()
-    axes[1].plot(time, history["min_g"] / history["max_g"].max(), lw=1)
+        axes[0].plot(time, np.maximum(np.abs(values), NOUGHT), lw=1, label=name)
+    axes[0].set_ylabel(f"relative error; below {NOUGHT:g} drawn there")
+    axes[0].axhline(np.finfo(float).eps, color="grey", ls=":", lw=1, label="rounding of one number")
+    relative = history["min_g"] / history["max_g"].max()
+    for sign, style, label in ((1, common.KINETIC, "above zero"), (-1, {"color": "tab:red"}, "below zero, its size")):
+        if (sign * relative > 0).any():
+            axes[1].plot(time, np.where(sign * relative > 0, np.abs(relative), np.nan), lw=1, label=label, **style)
     axes[1].set_ylabel("smallest $g$ / largest $g$ of the run")
+    for name in corrections:
+        size = np.where(history[name] > 0, history[name], np.nan)
+        axes[2].plot(time, size, lw=1, label="largest in a cell, a step" if name == "correction" else name)
     if corrections:
-        for name in corrections:
-            positive = history[name] > 0
-            axes[2].plot(time[positive], history[name][positive], lw=1, label=name.replace("_", " "))
         axes[2].set_ylabel("size of the correction")
-        axes[2].set_yscale("log")
-        if len(corrections) > 1:
-            axes[2].legend()
     for axis in axes:
         axis.set_xlabel("$t$")
         axis.set_xlim(time[0], time[-1])
-    figure.suptitle(common.title_of(run))
+        if any(np.isfinite(line.get_ydata()).any() for line in axis.get_lines()):
+            axis.set_yscale("log")
+        if axis.get_legend_handles_labels()[0]:
+            common.legend_below(axis)
+    figure.suptitle(common.titled("errors, smallest $g$, correction", run))
     return figure
 
 

@@ -76,14 +76,15 @@ def _curves(options, runs):
     left.set_ylabel(r"scaled variables: $g^{(1)}(\xi_x)$")
     right.set_xlabel("$v_x$")
     right.set_ylabel("classical variables: $f^{(1)}(v_x)$")
-    right.set_yscale("log")
+    right.set_yscale("log", nonpositive="mask")  # a g below zero is a gap, not a line down and up again
     top = right.dataLim.y1
     right.set_ylim(top * 10.0 ** -(DECADES + 2), 2 * top)
     if len(runs) > 1:  # below: beside the curves there is no room for so many names
         figure.legend(*left.get_legend_handles_labels(), loc="upper center", bbox_to_anchor=(0.5, 0.0), ncol=len(runs))
     else:
-        left.legend()
-    figure.suptitle(common.title_of(*runs))
+        for axis in (left, right):
+            common.legend_below(axis, columns=3)
+    figure.suptitle(common.titled("first marginals of g and of f", *runs))
     return figure
 
 
@@ -121,7 +122,7 @@ def _maps(run, chosen):
     figure.colorbar(
         maps[1], ax=axes[:, 1], location="bottom", aspect=30, label="classical: $f^{(1)}(x, v_x)$"
     )
-    figure.suptitle(common.title_of(run))
+    figure.suptitle(common.titled(common.where_cut(run, "x", "first marginals"), run))
     return figure
 
 

@@ -89,19 +89,18 @@ def _finish(figure, axes, runs, labels, times, options):
         if options.normalised and not quantity.startswith("velocity"):
             label += " / mean"
         axes[row, 0].set_ylabel(label)
+        unit = 1.0
+        if not options.normalised or quantity.startswith("velocity"):
+            unit = max(common.unit(run, model, quantity).max() for run in runs for model in common.models(run))
         for axis in axes[row]:
             lines = np.concatenate([line.get_ydata() for line in axis.get_lines()])
             spread, middle = np.ptp(lines), (lines.max() + lines.min()) / 2
-            if spread < 1e-9 * max(abs(middle), 1e-3):  # a constant, not its last bits
-                margin = 0.05 * max(abs(middle), 1.0)
+            if spread <= common.ROUNDING * unit:  # a constant, not its last bits
+                margin = 0.05 * max(abs(middle), unit) or 1.0
                 axis.set_ylim(middle - margin, middle + margin)
     handles, names = axes[0, 0].get_legend_handles_labels()
     figure.legend(handles, names, loc="upper center", bbox_to_anchor=(0.5, 0.0), ncol=4)
-    where = ""
-    if run.kinetic_density.ndim == 3:
-        other = "y" if cut == "x" else "x"
-        where = f", cut along ${cut}$ at ${other} = {np.mean(common.cell_edges(run[other].values)):g}$"
-    figure.suptitle((common.title_of(*runs) + where).lstrip(", "))
+    figure.suptitle(common.titled(common.where_cut(run, cut, "profiles"), *runs))
 
 
 if __name__ == "__main__":

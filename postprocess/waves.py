@@ -3,7 +3,8 @@
 Two figures into the first DIR's figures, as PNG and PDF: waves_energy (energy over that of the start) and
 waves_deviation (L(t), the mean of |rho - mean rho|, in log-log, with the line through its maxima), and a table of the
 damping rates, L ~ t^rate, with the paper's where it has one. Maxima below --floor, and from the first on that does
-not fall, are left out of the fit: there the scheme's own error shows.
+not fall, are left out of the fit: there the scheme's own error shows. Runs without space, and those whose density stays
+uniform, have no waves and are refused.
 
     python postprocess/waves.py runs/test2_specular_e080 runs/test2_specular_e090
 """
@@ -65,17 +66,29 @@ def _draw(options):
         raise common.PlotError(f"{len(names)} labels for {len(options.directories)} runs")
     runs = []
     for directory in options.directories:
-        history = results.read_history(directory)
-        if "density_deviation" not in history:
-            raise common.PlotError(f"{directory}/history.csv has no density_deviation")
-        if len(history["time"]) < 3:
-            raise common.PlotError(f"{directory}/history.csv has fewer than three rows")
-        runs.append((Job.from_file(directory / "job.toml"), history))
+        job, history = Job.from_file(directory / "job.toml"), results.read_history(directory)
+        _refuse_without_waves(directory, job, history)
+        runs.append((job, history))
     common.save(_energy(runs, names), options.directories[0], "waves_energy")
     fits = [damping(history["time"], history["density_deviation"], options.floor) for _, history in runs]
     common.save(_deviation(runs, names, fits), options.directories[0], "waves_deviation")
     for line in table(runs, names, fits):
         print(line)
+
+
+def _refuse_without_waves(directory, job, history):
+    """PlotError if a run's history has no L(t) to draw."""
+    if not job.space.dimensions:
+        raise common.PlotError(f"{directory} has no space dimension, so no waves: use history.py")
+    if "density_deviation" not in history:
+        raise common.PlotError(f"{directory}/history.csv has no density_deviation")
+    if len(history["time"]) < 3:
+        raise common.PlotError(f"{directory}/history.csv has fewer than three rows")
+    deviation, density = history["density_deviation"], history["mass"][0] / np.prod(job.space.length)
+    if not np.isfinite(deviation).all():
+        raise common.PlotError(f"{directory}/history.csv: density_deviation is not a number in some row")
+    if deviation.max() <= common.ROUNDING * density:
+        raise common.PlotError(f"{directory}: the density stays uniform, there are no waves: use history.py")
 
 
 def table(runs, names, fits):
@@ -89,7 +102,7 @@ def table(runs, names, fits):
 
 
 def _energy(runs, names):
-    figure, axis = plt.subplots(figsize=(5.6, 4.0))
+    figure, axis = plt.subplots(figsize=(5.6, 4.4))
     last = max(history["time"][-1] for _, history in runs)
     first = min(history["time"][1] for _, history in runs)
     shown = np.geomspace(max(first, 1e-3 * last), last, 200)
@@ -106,12 +119,13 @@ def _energy(runs, names):
     axis.set_xlim(shown[0], last)
     axis.set_xlabel("$t$")
     axis.set_ylabel("$E(t) / E(0)$")
-    axis.legend()
+    common.legend_below(axis)
+    axis.set_title(common.titled("energy", *(job for job, _ in runs)))
     return figure
 
 
 def _deviation(runs, names, fits):
-    figure, axis = plt.subplots(figsize=(5.6, 4.0))
+    figure, axis = plt.subplots(figsize=(5.6, 4.4))
     last, least, top = 0.0, np.inf, 0.0
     for number, ((_, history), name, fit) in enumerate(zip(runs, names, fits, strict=True)):
         time, values = history["time"][1:], history["density_deviation"][1:]
@@ -119,7 +133,7 @@ def _deviation(runs, names, fits):
         axis.plot(time, values, color=f"C{number}", lw=1.2, label=label)
         if fit is not None:
             axis.plot(fit[2], fit[3], color=f"C{number}", marker="o", ms=3, ls=":", lw=1)
-        last, least = max(last, time[-1]), min(least, np.percentile(values, 2))
+        last, least = max(last, time[-1]), min(least, np.percentile(values[values > 0], 2))
         top = max(top, values[0])
     axis.set_xscale("log")
     axis.set_yscale("log")
@@ -127,7 +141,8 @@ def _deviation(runs, names, fits):
     axis.set_ylim(0.3 * least, 2 * top)
     axis.set_xlabel("$t$")
     axis.set_ylabel(r"$\mathcal{L}(t)$: mean of $|\rho - \overline{\rho}|$")
-    axis.legend()
+    common.legend_below(axis)
+    axis.set_title(common.titled("deviation of the density", *(job for job, _ in runs)))
     return figure
 
 

@@ -188,6 +188,7 @@ def _job(cells: tuple[int, ...], velocity: tuple[int, ...]) -> Job:
             "space": {"cells": list(cells)},
             "velocity": {"points": list(velocity)},
             "collision": collision,
+            "fluid": {"enabled": True},
             "initial": state,
             "time": {"end": 1e6, "cfl": CFL},
         },

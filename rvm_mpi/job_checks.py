@@ -13,6 +13,7 @@ from rvm_mpi.job_schema import (
     Boundaries,
     Boundary,
     Collision,
+    Fluid,
     FromRun,
     Output,
     RandomDensity,
@@ -63,6 +64,7 @@ def resolve(job: Job) -> Job:
         space=space,
         velocity=velocity,
         collision=collision,
+        fluid=_resolve_fluid(job.fluid, job.scaling.kind),
         time=time,
         output=_resolve_output(job.output, time.end),
         initial=_RESOLVE_STATE[type(job.initial)](job.initial, space, d, collision),
@@ -84,10 +86,6 @@ def _check_choices(job: Job) -> None:
     if job.scaling.synchronise == "auto" and job.space.dimensions == 0:
         raise KeyProblem(
             "scaling.synchronise", "no cell sets an automatic rate without space", "auto", "a rate >= 0"
-        )
-    if kind == "macroscopic" and not job.fluid.enabled:
-        raise KeyProblem(
-            "fluid.enabled", 'scaling.kind = "macroscopic" takes omega from the fluid system', False, "true"
         )
     if job.collision.operator == "boltzmann":
         if len(set(job.velocity.half_width)) > 1:
@@ -118,6 +116,16 @@ def _check_choices(job: Job) -> None:
             False,
             "true, or another scaling.kind, or no space (space.cells = [])",
         )
+
+
+def _resolve_fluid(fluid: Fluid, kind: str) -> Fluid:
+    """Only the macroscopic scaling needs the fluid system; beside another it runs for comparison, if asked for."""
+    needed = kind == "macroscopic"
+    if needed and fluid.enabled is False:
+        raise KeyProblem(
+            "fluid.enabled", 'scaling.kind = "macroscopic" takes omega from the fluid system', False, "true"
+        )
+    return _updated(fluid, enabled=needed if fluid.enabled is None else fluid.enabled)
 
 
 def _resolve_velocity(velocity: Velocity) -> Velocity:

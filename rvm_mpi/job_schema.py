@@ -243,9 +243,11 @@ class Scheme(Section):
 
 
 class Fluid(Section):
-    """The macroscopic system beside the kinetic one."""
+    """The macroscopic system beside the kinetic one; in a `Job` `enabled` is true or false."""
 
-    enabled: Switch = Field(default=True, description="true | false")
+    enabled: Switch | None = Field(
+        default=None, description='true | false; by default true with scaling.kind = "macroscopic" only'
+    )
 
 
 class Time(Section):

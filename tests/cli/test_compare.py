@@ -14,6 +14,7 @@ TABLES = {
     "space": {"cells": [5, 4], "boundary": {"x": "diffuse"}},
     "velocity": {"points": [8, 8]},
     "collision": {"operator": "granular-es-bgk", "knudsen": 0.1, "restitution": 0.9},
+    "fluid": {"enabled": True},
     "initial": {"state": "random-density", "low": 0.5},
     "time": {"end": 0.02},
     "output": {"times": [0.0, 0.01, 0.02]},

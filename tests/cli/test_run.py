@@ -21,6 +21,7 @@ JOB = {
     "space": {"cells": [6, 5], "boundary": {"y": "diffuse"}},
     "velocity": {"points": [8, 8, 8]},
     "collision": {"operator": "granular-es-bgk", "knudsen": 0.1, "restitution": 0.9},
+    "fluid": {"enabled": True},
     "initial": {"state": "random-density", "seed": 2, "low": 0.5},
     "time": {"end": 0.03},
     "output": {"times": [0.0, 0.0123, 0.03], "marginals": True},

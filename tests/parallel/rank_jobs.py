@@ -9,9 +9,11 @@ from rvm_mpi.cli import main
 
 GRANULAR = {"operator": "granular-es-bgk", "knudsen": 0.1, "restitution": 0.8}
 RANDOM = {"state": "random-density", "seed": 3, "low": 0.1}
+FLUID = {"enabled": True}
 
 JOBS = {
     "periodic": {
+        "fluid": FLUID,
         "space": {"cells": [14, 13]},
         "velocity": {"points": [8, 8, 8]},
         "collision": GRANULAR,
@@ -20,6 +22,7 @@ JOBS = {
         "output": {"times": [0.0, 0.004, 0.012], "marginals": True},
     },
     "walls": {
+        "fluid": FLUID,
         "space": {
             "cells": [13, 12],
             "boundary": {
@@ -46,6 +49,7 @@ JOBS = {
         "time": {"end": 0.012},
     },
     "slab": {
+        "fluid": FLUID,
         "space": {"cells": [23], "boundary": {"x": {"lower": "outflow", "upper": "vacuum"}}},
         "velocity": {"points": [24]},
         "collision": {"operator": "es-bgk", "knudsen": 0.1, "relaxation": {"coefficient": 1.0}},
@@ -61,6 +65,7 @@ JOBS = {
         "time": {"end": 0.02},
     },
     "front": {
+        "fluid": FLUID,
         "space": {"cells": [12, 13], "lower": [-1.0, -1.0], "boundary": {"x": "far-field", "y": "far-field"}},
         "velocity": {"points": [8, 8, 8]},
         "collision": {"operator": "es-bgk", "knudsen": 0.05},

@@ -6,6 +6,7 @@ STEPS = 6
 GRANULAR = {"operator": "granular-es-bgk", "knudsen": 0.2, "restitution": 0.9}
 RANDOM = {"state": "random-density", "low": 0.5, "seed": 4}
 WAVE = {"state": "wave", "density_amplitude": 0.2, "temperature_amplitude": 0.2}
+FLUID = {"enabled": True}
 WALL = {"kind": "maxwell", "accommodation": 0.7, "temperature": 1.2, "velocity": [0.0, 0.1]}
 
 CASES = {
@@ -22,16 +23,17 @@ CASES = {
         "scaling": {"kind": "none"},
         "collision": {"operator": "none"},
         "initial": WAVE,
-        "fluid": {"enabled": False},
     },
     "1d-boltzmann": {
         "space": {"cells": [11], "boundary": {"x": {"lower": "specular", "upper": "diffuse"}}},
         "collision": {"operator": "boltzmann", "knudsen": 0.2, "restitution": 0.95, "penalise": True, "coarse": True},
+        "fluid": FLUID,
         "initial": WAVE,
     },
     "2d-walls": {
         "space": {"cells": [9, 7], "boundary": {"x": {"lower": WALL, "upper": "far-field"}, "y": "specular"}},
         "collision": GRANULAR,
+        "fluid": FLUID,
         "initial": RANDOM,
         "output": {"marginals": True},
     },
@@ -49,6 +51,7 @@ CASES = {
     "2d-kinetic": {
         "space": {"cells": [8, 9], "boundary": {"x": "periodic", "y": {"lower": "outflow", "upper": "diffuse"}}},
         "scheme": {"drift": "kappa"},
+        "fluid": FLUID,
         "collision": {"operator": "es-bgk", "knudsen": 0.05},
         "initial": {**WAVE, "mode": [1, 1]},
     },
@@ -65,11 +68,11 @@ OPERATORS = {
 }
 #: ... with every scaling ...
 SCALINGS = {
-    "unscaled": {"scaling": {"kind": "none"}, "fluid": {"enabled": False}},
+    "unscaled": {"scaling": {"kind": "none"}},
     "macroscopic": {"scaling": {"kind": "macroscopic"}, "scheme": {"conservative": False}},
     "macroscopic-conservative": {"scaling": {"kind": "macroscopic"}, "scheme": {"conservative": True}},
     "synchronised": {"scaling": {"kind": "macroscopic", "synchronise": 2.0}, "scheme": {"conservative": False}},
-    "kinetic": {"scaling": {"kind": "kinetic"}},
+    "kinetic": {"scaling": {"kind": "kinetic"}, "fluid": FLUID},
 }
 #: ... in every dimension
 SPACES = {

@@ -27,6 +27,7 @@ def make_job(cells):
             "space": {"cells": cells},
             "velocity": {"points": [8, 6, 4], "half_width": 7.0},
             "collision": {"operator": "es-bgk", "knudsen": 0.1},
+            "fluid": {"enabled": True},
             "initial": {"state": "uniform"},
             "time": {"end": 2.0},
             "output": {"times": [0.0, 0.5, 2.0], "marginals": True},

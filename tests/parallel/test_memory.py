@@ -27,6 +27,7 @@ JOBS = {
         "space": {"cells": [48, 48]},
         "velocity": {"points": [24, 24, 8]},
         "collision": GRANULAR,
+        "fluid": {"enabled": True},
         "initial": {"state": "random-density", "low": 0.2},
     },
     "many cells": {
@@ -39,6 +40,7 @@ JOBS = {
         "space": {"cells": [400], "boundary": {"x": "diffuse"}},
         "velocity": {"points": [32, 16, 16]},
         "collision": GRANULAR,
+        "fluid": {"enabled": True},
         "initial": {"state": "uniform"},
     },
     "boltzmann": {

@@ -95,6 +95,8 @@ points = [12, 10]
 operator = "granular-es-bgk"
 knudsen = 0.1
 restitution = 0.999
+[fluid]
+enabled = true
 [initial]
 state = "random-density"
 low = 0.5

@@ -23,6 +23,7 @@ def make_job(cells=(6,), **tables):
             "space": {"cells": list(cells), **(sides if cells else {})},
             "velocity": {"points": [12, 10]},
             "collision": {"operator": "granular-es-bgk", "knudsen": 0.2, "restitution": 0.9},
+            "fluid": {"enabled": True},
             "initial": {"state": "random-density", "low": 0.5} if cells else {"state": "uniform"},
             "time": {"end": 1.0, "max_steps": 4},
             **tables,

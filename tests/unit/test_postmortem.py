@@ -16,7 +16,7 @@ GRANULAR = {"operator": "granular-es-bgk", "knudsen": 0.2, "restitution": 0.9}
 BOLTZMANN = {"operator": "boltzmann", "knudsen": 0.2, "restitution": 0.95}
 PAPER = {"scaling": {"kind": "macroscopic"}, "scheme": {"conservative": False}}
 CASES = {
-    "granular": {"collision": GRANULAR},
+    "granular": {"collision": GRANULAR, "fluid": {"enabled": True}},
     "paper": {"collision": GRANULAR, **PAPER},
     "unscaled": {"collision": {"operator": "none"}, "scaling": {"kind": "none"}, "scheme": {"conservative": False}},
     "boltzmann": {"collision": BOLTZMANN},

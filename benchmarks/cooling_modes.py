@@ -1,0 +1,29 @@
+"""Can a box cluster? Navier-Stokes about the cooling gas: `python benchmarks/cooling_modes.py [JOB...]` (a second).
+
+For each job (by default those of Test 4 and the demo) at its mean density: mean free paths in the box; the box over
+the lengths above which waves of shear and of density grow beside the cooling; the clock s = ln sqrt(T(0)/T) at the
+end; and by how many powers of e a wave as long as the box has grown by then, shear (beside sqrt(T)) and density.
+"""
+
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+sys.path.insert(0, str(ROOT))
+
+from rvm_mpi import Job
+from tests.verification.cooling_modes import box_row
+from tests.verification.kinetic_cases import table
+
+JOBS = ("test4_clustering_kinetic", "test4_clustering_e075_kinetic", "demo")
+
+
+def main() -> None:
+    paths = [Path(name) for name in sys.argv[1:]] or [ROOT / "jobs" / f"{name}.toml" for name in JOBS]
+    jobs = [Job.from_file(path) for path in paths]
+    rows = [(job.name, *box_row(job, 0.5 * (job.initial.low + job.initial.high))) for job in jobs]
+    table("job free_paths box/shear box/density s e-foldings_shear e-foldings_density", rows)
+
+
+if __name__ == "__main__":
+    main()
