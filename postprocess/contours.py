@@ -151,19 +151,11 @@ def _maps(axes, run, fields, quantity, unit):
     """A colour for each cell, in panels (any shape) with the same limits; fields of that shape and (y, x)."""
     low, high = _limits(quantity, fields, unit)
     for axis, values in zip(axes.flat, fields.reshape(-1, *fields.shape[-2:]), strict=True):
-        x, values = _drawable(run.x.values, values)
-        y, values = _drawable(run.y.values, values.T)
-        colours = COLOURS.get(quantity, "RdBu_r")
-        drawn = axis.pcolormesh(x, y, values.T, shading="nearest", vmin=low, vmax=high, cmap=colours, rasterized=True)
+        drawn = axis.pcolormesh(
+            run.x.values, run.y.values, values, shading="nearest", vmin=low, vmax=high,
+            cmap=COLOURS.get(quantity, "RdBu_r"), rasterized=True,
+        )  # fmt: skip
     return drawn
-
-
-def _drawable(centres, values):
-    """Centres and values along the last axis; a single cell as two halves, whose width can be told."""
-    if len(centres) > 1:
-        return centres, values
-    edges = common.cell_edges(centres)
-    return np.average([edges, edges[::-1]], axis=0, weights=[3, 1]), np.repeat(values, 2, axis=-1)
 
 
 def _colour_bar(figure, drawn, axes, label, below=False):

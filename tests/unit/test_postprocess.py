@@ -163,93 +163,133 @@ def test_a_run_without_fluid_has_one_row(tmp_path):
     assert history.main([str(directory)]) == 0
     assert profiles.main([str(directory), "--times", "1"]) == 0
     run = common.open_run(directory)
-    figure = contours._by_time(run, "density", "density", [0, 1], "shared")
+    figure = contours._by_time(run, "density", "density", [0, 1], "shared", common.models(run))
     assert len(figure.axes) == 2 + 1
 
 
 @pytest.fixture
 def drawn(monkeypatch):
-    """Records each call that draws contours: axis, values, levels, colour map."""
+    """Records each map of cells: axis, centres, values, limits, colours."""
     from matplotlib.axes import Axes
 
     calls = []
-    original = Axes.contourf
+    original = Axes.pcolormesh
 
-    def record(axis, x, y, values, levels, cmap, **more):
-        calls.append(SimpleNamespace(axis=axis, x=x, y=y, values=values, levels=levels, cmap=cmap))
-        return original(axis, x, y, values, levels=levels, cmap=cmap, **more)
+    def record(axis, x, y, values, **more):
+        if "vmin" in more:  # a colour bar draws itself with this, too
+            limits = more["vmin"], more["vmax"]
+            calls.append(SimpleNamespace(axis=axis, x=x, y=y, values=values, limits=limits, **more))
+        return original(axis, x, y, values, **more)
 
-    monkeypatch.setattr(Axes, "contourf", record)
+    monkeypatch.setattr(Axes, "pcolormesh", record)
     return calls
 
 
-def test_both_rows_and_all_times_share_the_colour_limits_and_one_bar(tmp_path, drawn):
+BOTH = ["kinetic", "fluid"]
+
+
+def extent(values):
+    return float(values.min()), float(values.max())
+
+
+@pytest.mark.parametrize("own", [True, False])
+def test_all_times_share_the_colour_limits_of_their_row_or_of_both(tmp_path, drawn, own):
     run = common.open_run(make_run(tmp_path / "run"))
-    figure = contours._by_time(run, "temperature", "T", [0, 1, 3], "shared")
-    assert len(figure.axes) == 2 * 3 + 1
+    figure = contours._by_time(run, "temperature", "T", [0, 1, 3], "shared", BOTH, own)
+    assert len(figure.axes) == 2 * 3 + 1 + own
     assert len(drawn) == 6
-    fields = np.concatenate(
-        [common.field(run, model, "temperature")[[0, 1, 3]] for model in ("kinetic", "fluid")]
-    )
-    for call in drawn:
-        assert (call.levels[0], call.levels[-1]) == (fields.min(), fields.max())
-        assert call.axis.get_aspect() in (1.0, "equal")
+    kinetic, fluid = (common.field(run, model, "temperature")[[0, 1, 3]] for model in BOTH)
+    both = np.concatenate([kinetic, fluid])
+    expected = [extent(kinetic), extent(fluid)] if own else [extent(both)] * 2
     # kinetic above fluid, times from left to right
-    for call, values in zip(sorted(drawn, key=lambda c: figure.axes.index(c.axis)), fields, strict=True):
-        assert np.array_equal(call.values[1:-1, 1:-1], values)
+    for number, (call, values) in enumerate(
+        zip(sorted(drawn, key=lambda c: figure.axes.index(c.axis)), both, strict=True)
+    ):
+        assert call.limits == expected[number // 3]
+        assert np.array_equal(call.values, values)
+        assert call.shading == "nearest"  # a colour for each cell
+        assert call.axis.get_aspect() in (1.0, "equal")
     assert [axis.get_title() for axis in figure.axes[:3]] == ["$t = 0$", "$t = 0.5$", "$t = 2$"]
-    assert [axis.get_ylabel().split("\n")[0] for axis in figure.axes[:6:3]] == ["kinetic", "fluid"]
+    assert [axis.get_ylabel().split("\n")[0] for axis in figure.axes[:6:3]] == BOTH
 
 
-def test_per_time_scale_shares_limits_within_a_column_only(tmp_path, drawn):
+@pytest.mark.parametrize("own", [True, False])
+def test_per_time_limits(tmp_path, drawn, own):
     run = common.open_run(make_run(tmp_path / "run"))
-    figure = contours._by_time(run, "temperature", "T", [0, 3], "per-time")
-    assert len(figure.axes) == 2 * 2 + 2
-    kinetic, fluid = (common.field(run, model, "temperature") for model in ("kinetic", "fluid"))
-    tops = {call.levels[-1] for call in drawn}
-    assert tops == {fluid[0].max(), fluid[3].max()}
-    assert {call.levels[0] for call in drawn} == {kinetic[0].min(), kinetic[3].min()}
+    figure = contours._by_time(run, "temperature", "T", [0, 3], "per-time", BOTH, own)
+    assert len(figure.axes) == 2 * 2 + (4 if own else 2)
+    kinetic, fluid = (common.field(run, model, "temperature")[[0, 3]] for model in BOTH)
+    together = {extent(np.stack([kinetic[k], fluid[k]])) for k in range(2)}
+    assert {call.limits for call in drawn} == ({extent(v) for v in (*kinetic, *fluid)} if own else together)
 
 
-def test_a_row_in_one_colour_is_pointed_out(tmp_path, capsys):
+def test_what_fades_over_time_has_limits_of_its_own_at_each(tmp_path, drawn):
     run = common.open_run(make_run(tmp_path / "run"))
-    contours._by_time(run, "density", "rho", [0, 3], "shared")
-    assert capsys.readouterr().out == ""
-    run.kinetic_density.values[3] = 1.0 + 0.001 * run.kinetic_density.values[3]
-    contours._by_time(run, "density", "rho", [0, 3], "shared")
-    (line,) = capsys.readouterr().out.splitlines()
-    assert line.startswith("# density, kinetic: the last time has 0.0%")
+    assert len(contours._by_time(run, "density", "rho", [0, 3], "auto", BOTH).axes) == 4 + 2
+    for _ in range(2):
+        run.kinetic_density.values[3] = 1.0 + 0.05 * (run.kinetic_density.values[3] - 1.0)
+        assert len(contours._by_time(run, "density", "rho", [0, 3], "auto", BOTH).axes) == 4 + 4
+    run.kinetic_density.values[3] = 1.0 + 1e-15 * run.kinetic_density.values[3]  # uniform: nothing to be seen
+    assert len(contours._by_time(run, "density", "rho", [0, 3], "auto", BOTH).axes) == 4 + 2
 
 
-def test_contours_fill_the_domain(tmp_path, drawn):
+@pytest.mark.parametrize(
+    ("arguments", "rows"), [([], BOTH), (["--no-fluid"], BOTH[:1]), (["--no-kinetic"], BOTH[1:])]
+)
+def test_either_row_can_be_left_out(tmp_path, monkeypatch, arguments, rows):
+    directory = make_run(tmp_path / "run")
+    seen = []
+    monkeypatch.setattr(common, "save", lambda figure, *_: seen.append([a.get_ylabel() for a in figure.axes]))
+    assert contours.main([str(directory), "--times", "0", "1", *arguments]) == 0
+    assert len(seen) == 5
+    for labels in seen:
+        assert [name for name in BOTH if any(label.startswith(f"{name}\n") for label in labels)] == (
+            rows if rows != ["kinetic"] else []  # alone it needs no name
+        )
+
+
+def test_what_is_left_out_must_leave_something(tmp_path, capsys):
+    directory = make_run(tmp_path / "run", fluid=False)
+    assert contours.main([str(directory), "--no-kinetic"]) == 2
+    assert "holds no fluid" in capsys.readouterr().err
+
+
+def test_cells_fill_the_domain(tmp_path, drawn):
     run = common.open_run(make_run(tmp_path / "run"))
-    contours._by_time(run, "density", "rho", [0], "shared")
+    figure = contours._by_time(run, "density", "rho", [0], "shared", BOTH)
     call = drawn[0]
-    assert (call.x[0], call.x[-1], call.y[0], call.y[-1]) == pytest.approx((-1, 1, 0, 1))
     assert call.axis.get_xlim() == pytest.approx((-1, 1))
     assert call.axis.get_ylim() == pytest.approx((0, 1))
+    corners = figure.axes[0].collections[0].get_coordinates().reshape(-1, 2)
+    assert (*corners.min(axis=0), *corners.max(axis=0)) == pytest.approx((-1, 0, 1, 1))
 
 
-def test_velocity_limits_are_symmetric_with_zero_inside_a_band():
-    low, high = contours._limits("velocity_x", np.array([-1.0, 3.0]), np.array([2.0]))
-    assert (low, high) == (-3.0, 3.0)
-    assert contours._limits("velocity_y", np.zeros(4)) == (-1.0, 1.0)
-    levels = np.linspace(low, high, contours.BANDS + 1)
-    assert np.abs(levels).min() > 0.01
+def test_velocity_limits_are_symmetric():
+    assert contours._limits("velocity_x", np.array([-1.0, 3.0, 2.0]), 1.0) == (-3.0, 3.0)
+    assert contours._limits("velocity_y", np.zeros(4), 0.0) == (-1.0, 1.0)
+
+
+@pytest.mark.parametrize("size", [1.0, 2.0**-66, 2.0**66])
+def test_what_is_nought_but_for_rounding_is_so_in_any_units(size):
+    """A velocity against the thermal speed, anything else against its own size."""
+    assert contours._limits("velocity_x", size * np.array([-1e-16, 3e-15]), 2 * size) == (-2 * size, 2 * size)
+    assert contours._limits("velocity_x", size * np.array([-1e-3, 3e-3]), size) == (-3e-3 * size, 3e-3 * size)
+    low, high = contours._limits("density", size * np.array([1.0, 1.0 + 1e-15]), size)
+    assert high - low == pytest.approx(0.1 * size)
+    assert contours._limits("density", size * np.array([1.0, 1.0 + 1e-6]), size) == (size, size * (1 + 1e-6))
 
 
 def test_constant_and_broken_fields():
-    low, high = contours._limits("density", np.full(5, 2.0))
+    low, high = contours._limits("density", np.full(5, 2.0), 2.0)
     assert low < 2.0 < high
-    low, high = contours._limits("density", np.array([1.0, 1.0 + 1e-15]))
-    assert high - low == pytest.approx(0.1)
     with pytest.raises(common.PlotError, match="not finite"):
-        contours._limits("density", np.array([1.0, np.nan]))
+        contours._limits("density", np.array([1.0, np.nan]), np.nan)
 
 
-def test_no_text_is_cut_off_or_overlaps_the_next_panel(tmp_path):
+@pytest.mark.parametrize("scale", ["shared", "per-time"])
+def test_no_text_is_cut_off_or_overlaps_the_next_panel(tmp_path, scale):
     run = common.open_run(make_run(tmp_path / "run"))
-    figure = contours._by_time(run, "density", "density", [0, 1, 2, 3], "shared")
+    figure = contours._by_time(run, "density", "density", [0, 1, 2, 3], scale, BOTH)
     figure.canvas.draw()
     boxes = [axis.get_tightbbox(figure.canvas.get_renderer()) for axis in figure.axes]
     for number, box in enumerate(boxes):
@@ -477,8 +517,128 @@ def test_the_table_has_the_fitted_rate_beside_the_papers(wave_run, capsys):
     assert float(period) == pytest.approx(np.pi / 2, rel=2e-3)
 
 
+def rewritten(directory, **columns):
+    """The run with columns of its history put in place of others, or added."""
+    history = {**results.read_history(directory), **columns}
+    rows = zip(*history.values(), strict=True)
+    lines = [",".join(history), *(",".join(str(value) for value in row) for row in rows)]
+    (directory / "history.csv").write_text("\n".join(lines) + "\n")
+    return directory
+
+
 def test_waves_of_what_they_cannot_be_drawn_of(tmp_path, wave_run, capsys):
-    assert waves.main([str(make_run(tmp_path / "other"))]) == 2
-    assert "no density_deviation" in capsys.readouterr().err
+    n = 30
+    uniform = make_run(tmp_path / "uniform", (12,))
+    refused = {
+        "no density_deviation": make_run(tmp_path / "other"),
+        "no space dimension": rewritten(make_run(tmp_path / "0d", ()), density_deviation=np.zeros(n)),
+        "the density stays uniform": rewritten(uniform, density_deviation=np.full(n, 1e-16)),
+        "is not a number": rewritten(make_run(tmp_path / "broken", (12,)), density_deviation=np.full(n, np.nan)),
+    }
+    for message, directory in refused.items():
+        assert waves.main([str(wave_run), str(directory)]) == 2
+        error = capsys.readouterr().err
+        assert message in error
+        assert error.count("\n") == 1
+        assert not (wave_run / "figures").exists()
     assert waves.main([str(wave_run), "--labels", "a", "b"]) == 2
     assert "2 labels for 1 runs" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("script", [contours, history, profiles, marginals, waves])
+def test_wrong_arguments_are_one_line_too(tmp_path, capsys, script):
+    for arguments in ([], ["--no-such"], [str(tmp_path), "--colour"]):
+        with pytest.raises(SystemExit) as end:
+            script.main(arguments)
+        assert end.value.code == 2
+        assert capsys.readouterr().err.count("\n") == 1
+
+
+@pytest.mark.parametrize("damage", ["job.toml", "history.csv", "fields.h5"])
+@pytest.mark.parametrize("script", [contours, history, profiles, marginals, waves])
+def test_a_damaged_run_is_refused_in_one_line_or_drawn(tmp_path, capsys, script, damage):
+    directory = make_run(tmp_path / "run", (12, 8))
+    (directory / damage).write_bytes(b"not = what, it was\n\xff")
+    status = script.main([str(directory)])
+    assert status in (0, 2)
+    assert capsys.readouterr().err.count("\n") == (1 if status else 0)
+
+
+# --- what the pictures claim
+
+
+@pytest.fixture
+def shown(tmp_path, monkeypatch):
+    """Draws a script's figures of a run into nothing; returns them by name."""
+
+    def draw(script, directory, *arguments):
+        figures = {}
+        monkeypatch.setattr(common, "save", lambda figure, _, name: figures.update({name: figure}))
+        assert script.main([str(directory), *arguments]) == 0
+        return figures
+
+    return draw
+
+
+def test_titles_say_what_is_shown(tmp_path, wave_run, shown):
+    plane, homogeneous = make_run(tmp_path / "plane"), make_run(tmp_path / "0d", ())
+    for script, directory, words in (
+        (history, plane, ["temperature and energy", "density", "errors"]),
+        (contours, plane, ["density", "velocity", "velocity", "temperature", "t = 2"]),
+        (profiles, plane, ["profiles along $x$ at $y = 0.5$"]),
+        (marginals, plane, ["first marginals along $x$ at $y = 0.5$"]),
+        (marginals, homogeneous, ["first marginals of g and of f"]),
+        (waves, wave_run, ["energy", "deviation of the density"]),
+    ):
+        for figure, what in zip(shown(script, directory).values(), words, strict=True):
+            title = figure._suptitle.get_text() if figure._suptitle else figure.axes[0].get_title()
+            assert title.startswith(r"a \$run\$ of costs – ")
+            assert what in title
+
+
+def test_legends_lie_outside_the_panels(tmp_path, wave_run, shown):
+    """Where no curve can run through them."""
+    plane, homogeneous = make_run(tmp_path / "plane"), make_run(tmp_path / "0d", ())
+    legends = 0
+    for script, directory in ((history, plane), (marginals, homogeneous), (profiles, plane), (waves, wave_run)):
+        for figure in shown(script, directory).values():
+            figure.canvas.draw()
+            renderer = figure.canvas.get_renderer()
+            of_axes = [axis.get_legend() for axis in figure.axes if axis.get_legend()]
+            for legend in (*of_axes, *figure.legends):
+                legends += 1
+                box = legend.get_window_extent(renderer)
+                assert not any(box.overlaps(axis.get_window_extent(renderer)) for axis in figure.axes)
+    assert legends >= 10
+
+
+def test_errors_of_rounding_and_the_smallest_g_have_a_log_axis(tmp_path, shown):
+    n = 30
+    sign = np.where(np.arange(n) % 2, 1.0, -1.0)
+    error = np.where(np.arange(n) % 3, 2e-16, 0.0)
+    directory = rewritten(make_run(tmp_path / "run"), energy_error=error, min_g=sign * np.geomspace(1e-30, 1e-5, n))
+    errors, smallest, correction = shown(history, directory)["history_health"].axes
+    assert {axis.get_yscale() for axis in (errors, smallest, correction)} == {"log"}
+    energy = next(line for line in errors.get_lines() if line.get_label() == "energy").get_ydata()
+    assert set(energy) == {2e-16, history.NOUGHT}  # nought is drawn, not left out
+    above, below = (line.get_ydata() for line in smallest.get_lines())
+    assert np.array_equal(np.isfinite(above), sign > 0)
+    assert np.array_equal(np.isfinite(below), sign < 0)
+    assert np.nanmax(below) < 1e-3
+    assert np.nanmin(below) > 0
+
+
+def test_cooling_is_drawn_over_haffs_law(tmp_path, shown):
+    """The law itself spans decades in which no departure can be seen."""
+    directory = make_run(tmp_path / "run")
+    job = Job.from_file(directory / "job.toml")
+    time = results.read_history(directory)["time"]
+    run = common.open_run(directory)
+    start, mean = history.mean_temperature(run, "kinetic")[0], run.kinetic_density.values[0].mean()
+    law = history.haff(time, start, mean, job.collision.cooling)
+    rewritten(directory, mean_temperature=1.02 * law, energy=6 * 1.06 * law / law[0])
+    (_, right) = shown(history, directory)["history_cooling"].axes
+    lines = {line.get_label(): line.get_ydata() for line in right.get_lines()}
+    assert lines["kinetic, temperature"] == pytest.approx(np.full(29, 1.02))
+    assert lines["kinetic, energy"] == pytest.approx(np.full(29, 1.0))  # over that of its start
+    assert right.get_yscale() == "linear"

@@ -4,7 +4,7 @@ For granular ES-BGK, mass 1. With beta = C rho sqrt(T)/eps, half the rate at whi
 relaxation, the first order of Chapman and Enskog about the homogeneous cooling state (a Maxwellian in this model) is
 
     stress     mu = p/(r/Pr + beta)
-    heat flux  q = - kappa grad T - kappa_n grad rho,   kappa = (d + 2)/2 p/(r - beta),  kappa_n = 2 beta kappa T/(rho r)
+    heat flux q = - kappa grad T - kappa_n grad rho, kappa = (d + 2)/2 p/(r - beta), kappa_n = 2 beta kappa T/(rho r)
 
 as Brey, Dufty, Kim and Santos, Phys. Rev. E 58, 4638 (1998), have it for hard spheres, with this model's own rates.
 tau must go as rho sqrt(T): then all rates fall together, and in the clock ds = beta dt, s = ln(1 + beta(0) t), the
@@ -28,7 +28,7 @@ from rvm_mpi import Job
 
 @dataclass(frozen=True)
 class CoolingGas:
-    """Rates and transport coefficients of the homogeneous gas at the start, all for Knudsen number included.
+    """Rates and transport coefficients of the homogeneous gas at the start, the Knudsen number in them.
 
     Attributes
     ----------

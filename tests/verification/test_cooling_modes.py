@@ -1,0 +1,100 @@
+"""Waves that grow or decay in a cooling granular gas, against Navier and Stokes; what the jobs say of their boxes."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+from rvm_mpi import Job, Simulation
+from tests.verification.cooling_modes import CoolingGas, box_row
+from tests.verification.kinetic_cases import build, line
+
+K = 2 * np.pi
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def wave_job(knudsen, end, **keys):
+    """A gas of restitution coefficient 0.9 in one space dimension, in a box of length 1."""
+    return build(
+        space=line(32),
+        velocity={"points": [16, 10, 10]},
+        scheme={"drift": "seventh-order"},
+        collision={"operator": "granular-es-bgk", "knudsen": knudsen, "restitution": 0.9},
+        initial={"state": "uniform"},
+        time={"end": end},
+        **keys,
+    )
+
+
+def amplitude(values):
+    x = (np.arange(values.size) + 0.5) / values.size
+    return float(2 * np.mean(values * np.cos(K * x)))
+
+
+def start(density=0.0, shear=0.0):
+    def state(x, y):
+        wave = np.cos(K * x)
+        return 1 + density * wave, shear * wave[..., None] * np.array([0.0, 1.0, 0.0]), 1.0
+
+    return state
+
+
+def evolve(job, initial, times, signal):
+    """The signal at these times, and T's mean."""
+    simulation = Simulation(job, initial)
+    found = []
+    for step in simulation:
+        if step.time in times:
+            moments = simulation.moments()
+            found.append((signal(moments), moments["temperature"].mean()))
+    return np.array(found).T
+
+
+@pytest.mark.parametrize("knudsen", [0.02, 0.06, 0.16])
+def test_shear_grows_or_decays_beside_the_cooling(knudsen):
+    """Below, near and above the critical length; what Navier and Stokes leave out is (k times the mean free path)^2."""
+    end = 60 * knudsen
+    times = [end / 10, end]
+    job = wave_job(knudsen, end, output={"times": times})
+    gas = CoolingGas.of(job, 1.0)
+    shear, temperature = evolve(job, start(shear=0.01), times, lambda m: amplitude(m["velocity"][0, :, 1]))
+    s = 0.5 * np.log(temperature[0] / temperature[1])
+    assert s == pytest.approx(gas.clock(end) - gas.clock(times[0]), rel=1e-3)
+    found = np.log(shear[1] / np.sqrt(temperature[1]) / (shear[0] / np.sqrt(temperature[0]))) / s
+    print(f"Kn {knudsen}, k/k_s {K / gas.shear:.3f}: rate {found:.4f}, Navier and Stokes {gas.shear_rate(K):.4f}")
+    allowed = 0.01 + 0.5 * (K / gas.relaxation) ** 2 * abs(1 - gas.shear_rate(K))
+    assert found == pytest.approx(gas.shear_rate(K), abs=allowed)
+
+
+@pytest.mark.parametrize("knudsen", [0.01, 0.02, 0.05])
+def test_the_density_follows_navier_and_stokes(knudsen):
+    """From a wave in the density alone: sound, and the slow mode that clusters or fades."""
+    end = 60 * knudsen
+    times = list(np.linspace(end / 6, end, 6))
+    job = wave_job(knudsen, end, output={"times": times})
+    gas = CoolingGas.of(job, 1.0)
+    density, _ = evolve(job, start(density=0.01), times, lambda m: amplitude(m["density"][0]))
+    expected = [0.01 * (expm(gas.clock(t) * gas.matrix(K)) @ [1, 0, 0])[0] for t in times]
+    print(f"Kn {knudsen}, k/k_h {K / gas.clustering:.3f}:", density, np.array(expected))
+    assert density == pytest.approx(np.array(expected), abs=0.05 * np.abs(expected).max())
+
+
+def test_the_lengths_are_where_the_modes_change_their_sign():
+    gas = CoolingGas.of(wave_job(0.02, 1.0), 0.7, 1.3)
+    assert gas.shear_rate(gas.shear) == pytest.approx(0, abs=1e-12)
+    assert np.linalg.det(gas.matrix(gas.clustering)) == pytest.approx(0, abs=1e-8)
+    assert gas.slow_rate(0.99 * gas.clustering) > 0 > gas.slow_rate(1.01 * gas.clustering)
+
+
+@pytest.mark.parametrize(
+    ("name", "shear", "density", "s", "grown"),
+    [
+        ("test4_clustering_kinetic", 2.91, 1.84, 3.59, (3.17, 1.54)),
+        ("test4_clustering_e075_kinetic", 0.57, 0.38, 0.71, (-1.48, -2.89)),
+        ("demo", 4.58, 2.93, 6.33, (6.03, 4.31)),
+    ],
+)
+def test_what_the_jobs_and_results_say_of_their_boxes(name, shear, density, s, grown):
+    found = box_row(Job.from_file(ROOT / "jobs" / f"{name}.toml"), 0.5)
+    assert found[1:] == pytest.approx((shear, density, s, *grown), abs=0.006)
