@@ -29,6 +29,7 @@ TRIED = {"kinetic": (8, 12, 16, 20, 24, 32, 40, 48, 64), "none": (4, 6, 8, 12, 1
 LABELS = {"kinetic": "rescaled", "none": "classical"}
 #: above the error that the cells leave
 ALLOWED = 1.25
+FIGURE_TITLE = "Needed for equal error: gas of temperature 1 beside gas of temperature R"
 
 
 def solve(ratio: float, scaling: str, cells: int, points: int, knudsen: float, drift: str = "van-leer"):
@@ -129,6 +130,7 @@ def draw(ratios, found, path: Path) -> None:
         axis.yaxis.set_major_formatter("{x:g}")
         axis.grid(alpha=0.3)
     axes[0].legend(frameon=False, fontsize="small")
+    figure.suptitle(FIGURE_TITLE)
     figure.savefig(path, dpi=150)
 
 

@@ -334,6 +334,7 @@ def possible(cells, most: float) -> list[int]:
 
 # --- what is printed and drawn
 
+FIGURE_TITLE = "Model, not measurement: the parts of a step are measured on one and two ranks, the rest is foretold"
 GRIDS = (([64, 64], [24, 24, 8]), ([512, 512], [32, 32, 32]))
 WEAK = ([4, 4], [8, 8], [16, 16])
 
@@ -475,6 +476,7 @@ def draw(strong: list, weak: list, name: str) -> None:
     for axes in (left, middle, right):
         axes.legend(fontsize=8)
         axes.grid(alpha=0.3)
+    figure.suptitle(FIGURE_TITLE)
     figure.savefig(f"{name}.png", dpi=110)
     print(f"{name}.png")
 

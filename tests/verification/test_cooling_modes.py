@@ -98,3 +98,23 @@ def test_the_lengths_are_where_the_modes_change_their_sign():
 def test_what_the_jobs_and_results_say_of_their_boxes(name, shear, density, s, grown):
     found = box_row(Job.from_file(ROOT / "jobs" / f"{name}.toml"), 0.5)
     assert found[1:] == pytest.approx((shear, density, s, *grown), abs=0.006)
+
+
+@pytest.mark.timeout(600)
+def test_the_demo_shows_clusters_and_stops_well_before_its_grid_fails():
+    simulation = Simulation(Job.from_file(ROOT / "jobs" / "demo.toml"))
+    start = None
+    for _ in simulation:
+        row = simulation.diagnostics.row
+        start = start or row
+    moments = simulation.moments()
+    density, temperature = moments["density"], moments["temperature"]
+    mach = np.sqrt((moments["velocity"] ** 2).sum(-1) / (5 / 3 * temperature)).max()
+    print(f"density {density.min():.3f} to {density.max():.3f}, T {row['mean_temperature']:.2e}, Mach {mach:.2f}")
+    assert density.max() > 2.3
+    assert density.max() / density.min() > 8
+    assert 2e-6 < row["mean_temperature"] < 4e-6
+    assert mach < 0.8  # 1.3 is too fast for twelve velocities
+    law = (1 + simulation.job.collision.cooling * density.mean() * simulation.time) ** -2
+    assert row["energy"] / start["energy"] / law == pytest.approx(1.06, abs=0.02)
+    assert row["mean_temperature"] / law == pytest.approx(1.02, abs=0.01)
