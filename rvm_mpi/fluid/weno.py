@@ -13,8 +13,8 @@ from rvm_mpi.kernels import part
 # No fused multiply-adds in the fluid's kernels: which product of a*b + c*d is fused is the compiler's choice, and would
 # tell left from right and x from y in the last bit.
 
-#: differences of this part of a field's natural size are none: far below rounding, so that a thin gas beside a dense one
-#: still has weights of its own
+#: differences of this part of a field's natural size are none: far below rounding, so that a thin gas beside a dense
+#: one still has weights of its own
 FLAT = 1e-20
 
 

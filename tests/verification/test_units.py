@@ -110,8 +110,8 @@ def powers(density, length, velocity):
     return Units(2.0**density, 2.0**length, 2.0**velocity)
 
 
-#: each unit by itself, up and down, odd powers too, and together; the last are those of mass, length and velocity at the
-#: extremes of all three, density being mass over length^3
+#: each unit by itself, up and down, odd powers too, and together; the last are those of mass, length and velocity at
+#: the extremes of all three, density being mass over length^3
 UNITS = [
     *((sign * n, 0, 0) for n in (1, 65, 66) for sign in (-1, 1)),
     *((0, sign * n, 0) for n in (1, 66) for sign in (-1, 1)),
