@@ -22,8 +22,9 @@ from rvm_mpi.terminal import tell
 REFUSED = 2
 FAILED = 3
 INTERRUPTED = 130  # as a shell has it for Ctrl-C
-PATIENCE = 1.5
-"""Seconds that a rank other than 0 leaves to rank 0 to say what is wrong for all."""
+PATIENCE = 5.0
+"""Seconds that a rank other than 0 leaves to rank 0 to say what is wrong for all, and to the launcher to end it:
+on a busy machine 1.5 were too few."""
 
 def _communicator() -> Any:
     """The world communicator if MPI runs and has more than one rank, else None."""
