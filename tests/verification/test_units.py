@@ -52,6 +52,8 @@ SCALINGS = {
     "kinetic": {"scaling": {"kind": "kinetic"}},
     "kinetic-alone": {"scaling": {"kind": "kinetic"}, "fluid": {"enabled": False}},
 }  # fmt: skip
+for _tables in SCALINGS.values():
+    _tables.setdefault("fluid", {"enabled": True})
 GAS = {"density": 0.8, "temperature": 1.3, "velocity": [0.2, -0.1]}
 SIDES = {
     "specular": "specular",
