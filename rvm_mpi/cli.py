@@ -166,15 +166,18 @@ def _run(options: argparse.Namespace) -> int:
     from rvm_mpi.domain import partition
     from rvm_mpi.estimates import check_box, check_weights
     from rvm_mpi.job import Job
+    from rvm_mpi.job_checks import check_source
 
     job = Job.from_file(options.job, options.set)
     output = _output(options)
     rundir.check(output, options.restart, options.overwrite)
-    if options.restart:
-        rundir.check_restart(output, job)
     partition(job.space.cells, failures.launched_size())
-    check_box(job)
-    check_grid(job)
+    if options.restart:
+        rundir.check_restart(output, job)  # of the start nothing is looked at: the checkpoint holds it
+    else:
+        check_source(job, options.job, options.set)
+        check_box(job)
+        check_grid(job)
     check_weights(job)
 
     from rvm_mpi.simulation import run_job
@@ -204,10 +207,12 @@ def _check(options: argparse.Namespace) -> int:
         from rvm_mpi.job import Job
 
         job = Job.from_file(options.job, options.set)
-        check_box(job)
-        check_grid(job)
+        starts = _starts(job, options)
+        if starts:
+            check_box(job)
+            check_grid(job)
         check_weights(job)
-        lines += _check_lines(job, options.job, options.ranks or failures.launched_size())
+        lines += _check_lines(job, options.job, options.ranks or failures.launched_size(), starts)
     if options.states:
         lines += [*([""] if lines else []), *describe_states()]
     if failures.launched_rank() == 0:
@@ -215,14 +220,32 @@ def _check(options: argparse.Namespace) -> int:
     return 0
 
 
-def _check_lines(job: Job, file: str, ranks: int) -> Iterator[str]:
+def _starts(job: Job, options: argparse.Namespace) -> bool:
+    """Whether the run that a job's state comes from is there; JobError if not, but for a job that has started."""
+    from rvm_mpi import rundir
+    from rvm_mpi.job_checks import check_source
+
+    try:
+        check_source(job, options.job, options.set)
+    except JobError:
+        file = Path(options.job)
+        if file.name == "job.toml" and rundir.checkpoints(file.parent):
+            return False
+        raise
+    return True
+
+
+def _check_lines(job: Job, file: str, ranks: int, starts: bool = True) -> Iterator[str]:
     yield f"{file}: valid" + (f' ("{job.title}")' if job.title else "")
     yield ""
     yield from _grid_lines(job, ranks)
-    yield from _step_lines(job, ranks)
-    yield from _physics_lines(job)
-    yield from _velocity_lines(job)
-    yield from _accuracy_lines(job)
+    if starts:
+        yield from _step_lines(job, ranks)
+        yield from _physics_lines(job)
+        yield from _velocity_lines(job)
+        yield from _accuracy_lines(job)
+    else:
+        yield _row("initial state", "the run it came from is gone; --restart goes on from the checkpoint")
     yield from _watch_lines(job)
 
 

@@ -25,6 +25,8 @@ MARKS = ("job.toml", "fields.h5", "history.csv", "run.log")
 """Files that tell a run directory; checkpoints do too."""
 MAY_CHANGE = {"title", "time", "output", "watch"}
 """Tables that a restarted job may have changed: how far a run goes, what it stores and what it watches."""
+PLACES = {"initial.run"}
+"""Keys that say where something lay when a run started: once it has, they mean nothing."""
 
 
 def holds_run(path: Path) -> bool:
@@ -97,7 +99,7 @@ def check_restart(path: Path, job: Job) -> None:
 def differing_keys(before: Job, now: Job) -> list[str]:
     """What a restart may not change and `now` has otherwise: "space.cells is [16], was [8]" for each such key."""
     old, new = (_flat(job.model_dump(mode="json", exclude=MAY_CHANGE)) for job in (before, now))
-    keys = dict.fromkeys([*old, *new])
+    keys = [key for key in dict.fromkeys([*old, *new]) if key not in PLACES]
     return [
         f"{key} is {_shown(new.get(key))}, was {_shown(old.get(key))}" for key in keys if old.get(key) != new.get(key)
     ]

@@ -348,6 +348,12 @@ class Diagnostics:
         """Names of the columns of `history.csv`."""
         return list(self.row)
 
+    @property
+    def first_rate(self) -> float:
+        """Mean density times the square root of the mean temperature at the start."""
+        volume = math.prod(self._sim.domain.cells) * self._sim.volume
+        return self._first["mass"] / volume * math.sqrt(self._first["mean_temperature"])
+
     def numbers(self) -> dict[str, Any]:
         """What has accumulated, and what it is compared with: for a checkpoint."""
         return {
@@ -647,7 +653,7 @@ class Run:
             stream = None if self.quiet else sys.stderr
             progress = Progress(
                 sim.job, stream, self.log, self.comm.size, start_time=sim.time, start_step=sim.number,
-                stretched=stretched_time(sim.job),
+                stretched=stretched_time(sim.job, sim.diagnostics.first_rate),
             )  # fmt: skip
         stopped = ""
         try:
