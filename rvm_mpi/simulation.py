@@ -9,6 +9,7 @@ is one time step each; `run_job` is the same loop with a run directory around it
 
 from __future__ import annotations
 
+import bisect
 import math
 import shlex
 import sys
@@ -222,7 +223,8 @@ class Simulation:
 
     def _fit_to_stops(self, dt: float) -> tuple[float, float | None]:
         """Shorten a step so that output times are hit exactly; two equal steps rather than a last tiny one."""
-        stop = next((t for t in self.stops if t > self.time), self.job.time.end)
+        coming = bisect.bisect_right(self.stops, self.time)
+        stop = self.stops[coming] if coming < len(self.stops) else self.job.time.end
         left = stop - self.time
         if dt >= left * (1.0 - 1e-9):
             return left, stop
@@ -530,7 +532,7 @@ class Run:
     """A simulation with its run directory: snapshots, history, checkpoints, log."""
 
     def __init__(self, simulation: Simulation, output: Path, restart: bool, overwrite: bool, quiet: bool) -> None:
-        from rvm_mpi.results import FieldsFile, History
+        from rvm_mpi.results import FieldsFile, History, Xdmf
 
         self.simulation = sim = simulation
         self.output, self.comm = output, sim.domain.comm
@@ -556,10 +558,9 @@ class Run:
             facts,
             self._wall_layout(),
             sim.kinetic.velocity_grid.x,
-            resume_after=sim.time if restart else None,
+            resume=restart,
         )
-        #: times of the snapshots that exist, NaN for the others
-        self._times = [t if restart and t <= sim.time else math.nan for t in job.output.times]
+        self.xdmf = self._on_rank_0(lambda: Xdmf(output / "fields.xdmf", job, self.fields.stored))
         columns, done = sim.diagnostics.columns, sim.number if restart else None
         self.history = self._on_rank_0(lambda: History(output / "history.csv", columns, done))
         if restart:
@@ -660,7 +661,8 @@ class Run:
             if self.saved is None:
                 self.record()
                 self.warn()
-            self.take_snapshot()
+            if sim.time not in self.fields.stored:  # else it was taken of this very state
+                self.take_snapshot()
             control.start(8.0 * math.prod(sim.domain.cells) * sim.kinetic.grid.block)
             for step in sim:
                 self.record()
@@ -780,24 +782,24 @@ class Run:
             raise DiskFailure(self.comm.bcast(failed))
 
     def take_snapshot(self) -> None:
-        """Write a snapshot if the present time is one of the job's."""
-        times = list(self.simulation.job.output.times)
-        if self.simulation.time in times:
-            self._write_snapshot(times.index(self.simulation.time))
+        """Write a snapshot if the present time is one of those wanted."""
+        row = self._row(self.simulation.time)
+        if row is not None:
+            self._write_snapshot(row)
+
+    def _row(self, time: float) -> int | None:
+        """The place in `fields.h5` for a time; None if it has none."""
+        row = bisect.bisect_left(self.fields.rows, time)
+        return row if self.fields.rows[row : row + 1] == [time] else None
 
     def take_last_snapshot(self) -> None:
-        """Where `max_steps` ends the run between two output times, write the end in the place of the next.
-
-        A restart that goes on drops it: its time is not one of the job's.
-        """
-        sim, times = self.simulation, list(self.simulation.job.output.times)
-        later = [index for index, t in enumerate(times) if t > sim.time]
-        if later and sim.time not in times:
-            self._write_snapshot(later[0])
+        """Where `max_steps` ends the run between two output times, write the end in the place of the next."""
+        sim, fields = self.simulation, self.fields
+        row = bisect.bisect_right(fields.rows, sim.time)
+        if self._row(sim.time) is None and row < len(fields.rows) and math.isnan(fields.stored[row]):
+            self._write_snapshot(row)
 
     def _write_snapshot(self, index: int) -> None:
-        from rvm_mpi.results import write_xdmf
-
         sim = self.simulation
         i0, j0 = sim.domain.start
         nx, ny = sim.domain.local
@@ -806,5 +808,4 @@ class Run:
             first, count = (j0, ny) if "/x-" in name else (i0, nx)
             extra[name] = ((slice(first, first + count),), values)
         self.fields.write(index, sim.time, sim.snapshot(), extra)
-        self._times[index] = sim.time
-        self._on_rank_0(lambda: write_xdmf(self.output / "fields.xdmf", sim.job, self._times))
+        self._on_rank_0(lambda: self.xdmf.add(index, sim.time))

@@ -37,7 +37,7 @@ POINTS = {
     "snapshot": (simulation.Simulation, "snapshot"),
     "fields": (results.FieldsFile, "_write_blocks"),
     "time": (results.FieldsFile, "_write_time"),
-    "xdmf": (results, "write_xdmf"),
+    "xdmf": (results.Xdmf, "add"),
     "checkpoint": (checkpoint, "write"),
     "create": (checkpoint, "_create"),
     "blocks": (checkpoint, "_write_blocks"),

@@ -296,7 +296,9 @@ def test_xdmf_leads_to_the_right_numbers(tmp_path, cells, d):
     with make_file(tmp_path, job) as file:
         file.write(0, 0.0, random_fields(job, 0))
         file.write(2, 2.0, random_fields(job, 2))
-    results.write_xdmf(tmp_path / "fields.xdmf", job, [0.0, math.nan, 2.0])
+    description = results.Xdmf(tmp_path / "fields.xdmf", job, [math.nan] * 3)
+    description.add(0, 0.0)
+    description.add(2, 2.0)
     series = ET.parse(tmp_path / "fields.xdmf").getroot().find("Domain/Grid")
     grids = series.findall("Grid")
     assert [float(grid.find("Time").get("Value")) for grid in grids] == [0.0, 2.0]
