@@ -36,11 +36,8 @@ class _Parser(argparse.ArgumentParser):
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command; returns its exit status (0, 1, 2, 3 or 75)."""
-    log: Path | None = None
     try:
         options = _parser().parse_args(arguments)
-        if options.command == "run":
-            log = _output(options) / "run.log"
         return int(options.function(options))
     except JobError as error:
         return failures.refuse(error)
@@ -51,7 +48,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return failures.FAILED
     except Exception as error:
-        return failures.fail(error, log)
+        return failures.fail(error)
 
 
 def _parser() -> argparse.ArgumentParser:

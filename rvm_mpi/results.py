@@ -39,6 +39,10 @@ class DiskFailure(OSError):
     """Something could not be written; raised on every rank, with the same line."""
 
 
+class DirectoryLost(DiskFailure):
+    """The run directory is no longer this run's; raised on every rank, with the same line."""
+
+
 @dataclass(frozen=True)
 class Layout:
     """One dataset of `fields.h5`, as it is in each snapshot (the axis of times comes in front of these).

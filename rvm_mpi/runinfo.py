@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from rvm_mpi import rundir
+from rvm_mpi import rundir, runlock
 from rvm_mpi.job import Job, JobError
 
 SHOWN_ATTRIBUTES = (
@@ -24,6 +24,7 @@ def describe_run(path: Path) -> Iterator[str]:
         yield _row("job", _job(job))
     except JobError as error:
         yield _row("job", str(error))
+    yield from _lock_lines(path)
     yield from _history_lines(path, job)
     yield from _field_lines(path)
     names = [p.name for p in rundir.checkpoints(path)]
@@ -35,6 +36,23 @@ def describe_run(path: Path) -> Iterator[str]:
 
 def _row(name: str, text: str) -> str:
     return f"{name:<14}{text}"
+
+
+def _lock_lines(path: Path) -> Iterator[str]:
+    """Whether a run is writing into the directory now."""
+    try:
+        owner = runlock.read(path / runlock.FILE)
+    except OSError:
+        return
+    if owner is None:
+        return
+    alive = owner.runs_here()
+    if alive is None:
+        yield _row("lock", f"held by {owner.named()}; whether it is still there cannot be seen from here")
+    elif alive:
+        yield _row("running", f"now: {owner.named()}")
+    else:
+        yield _row("lock", f"left by {owner.named()}, which was killed; the next run takes the directory over")
 
 
 def _job(job: Job) -> str:

@@ -28,11 +28,12 @@ from rvm_mpi.control import Control
 from rvm_mpi.domain import Domain
 from rvm_mpi.estimates import check_sides, stretched_time
 from rvm_mpi.exact_sum import exact_sums
-from rvm_mpi.failures import launched_rank
+from rvm_mpi.failures import launched_rank, on_rank_0
 from rvm_mpi.fluid import FluidSystem
 from rvm_mpi.fluid.euler import PositivityLost
 from rvm_mpi.job import Job, JobError
-from rvm_mpi.results import DiskFailure
+from rvm_mpi.results import DirectoryLost, DiskFailure
+from rvm_mpi.runlock import Claim
 from rvm_mpi.states import macroscopic_state
 from rvm_mpi.stepping import KineticStepper, NumericalFailure, StepReport
 from rvm_mpi.watch import Watch
@@ -499,20 +500,35 @@ def run_job(
         On every rank, before anything is written.
     """
     rundir.check(output, restart, overwrite)
+    if Path.cwd().is_relative_to(output.resolve()):
+        output = output.resolve()  # "." goes with a directory that is moved aside
     if not quiet and launched_rank() == 0 and not _compiled_before():
         print("compiling the kernels, kept for the next run: some seconds", file=sys.stderr, flush=True)
     with Control(output, walltime, job.output.checkpoint_every) as control:
-        simulation, lines = _resumed(job, output) if restart else (Simulation(job), [])
-        try:
-            opened = Run(simulation, output, restart, overwrite, quiet)
-        except DiskFailure as error:  # on every rank
-            if simulation.domain.rank == 0:
-                print(f"rvm: {job.name}: {error}", file=sys.stderr, flush=True)
-            return 3
-        with opened as run:
-            for line in lines:
-                run.say(line)
-            return run.go(control)
+        from mpi4py import MPI
+
+        with Claim(output, MPI.COMM_WORLD) as claim:
+            try:
+                return _run_claimed(job, claim, control, restart, overwrite, quiet)
+            except JobError:
+                raise
+            except Exception as error:
+                claim.note(error)
+                raise
+
+
+def _run_claimed(job: Job, claim: Claim, control: Control, restart: bool, overwrite: bool, quiet: bool) -> int:
+    simulation, lines = _resumed(job, claim.directory) if restart else (Simulation(job), [])
+    try:
+        opened = Run(simulation, claim, restart, overwrite, quiet)
+    except DiskFailure as error:  # on every rank
+        if simulation.domain.rank == 0:
+            print(f"rvm: {job.name}: {error}", file=sys.stderr, flush=True)
+        return 3
+    with opened as run:
+        for line in lines:
+            run.say(line)
+        return run.go(control)
 
 
 def _compiled_before() -> bool:
@@ -531,11 +547,12 @@ def _resumed(job: Job, output: Path) -> tuple[Simulation, list[str]]:
 class Run:
     """A simulation with its run directory: snapshots, history, checkpoints, log."""
 
-    def __init__(self, simulation: Simulation, output: Path, restart: bool, overwrite: bool, quiet: bool) -> None:
+    def __init__(self, simulation: Simulation, claim: Claim, restart: bool, overwrite: bool, quiet: bool) -> None:
         from rvm_mpi.results import FieldsFile, History, Xdmf
 
         self.simulation = sim = simulation
-        self.output, self.comm = output, sim.domain.comm
+        self.claim, self.comm = claim, sim.domain.comm
+        self.output = output = claim.directory
         self.head = self.comm.rank == 0
         self.quiet = quiet
         self.log: rundir.Log | None = None
@@ -544,12 +561,12 @@ class Run:
         self.saved: int | None = sim.number if restart else None
         job = sim.job
         if restart:
-            self._on_rank_0(self._check_restart)
-        aside = self._on_rank_0(lambda: rundir.prepare(output, job, restart, overwrite))
+            on_rank_0(self.comm, self._check_restart)
+        aside = on_rank_0(self.comm, lambda: rundir.prepare(output, job, restart, overwrite, claim.lock))
         self.watch = Watch(job)
         self.grid_watch = GridWatch(job)
         self.facts = facts = rundir.provenance(self.comm.size)
-        self._on_rank_0(lambda: self._open_log(facts, aside))
+        on_rank_0(self.comm, lambda: self._open_log(facts, aside))
         self.fields = FieldsFile(
             output / "fields.h5",
             self.comm,
@@ -560,9 +577,9 @@ class Run:
             sim.kinetic.velocity_grid.x,
             resume=restart,
         )
-        self.xdmf = self._on_rank_0(lambda: Xdmf(output / "fields.xdmf", job, self.fields.stored))
+        self.xdmf = on_rank_0(self.comm, lambda: Xdmf(output / "fields.xdmf", job, self.fields.stored))
         columns, done = sim.diagnostics.columns, sim.number if restart else None
-        self.history = self._on_rank_0(lambda: History(output / "history.csv", columns, done))
+        self.history = on_rank_0(self.comm, lambda: History(output / "history.csv", columns, done))
         if restart:
             self.say(f"restart from step {sim.number}, t = {sim.time:.6g}")
 
@@ -591,22 +608,6 @@ class Run:
         for file in (self.history, self.log):
             if file is not None:
                 file.close()
-
-    def _on_rank_0(self, action: Callable[[], Any]) -> Any:
-        """Do something on rank 0; if it cannot, every rank raises the same error."""
-        result: Any = None
-        error: JobError | DiskFailure | None = None
-        if self.head:
-            try:
-                result = action()
-            except JobError as caught:
-                error = caught
-            except OSError as caught:
-                error = DiskFailure(str(caught))
-        error = self.comm.bcast(error)
-        if error is not None:
-            raise error
-        return result
 
     def _open_log(self, facts: dict[str, str], aside: Path | None) -> None:
         self.log = rundir.Log(self.output / "run.log")
@@ -690,13 +691,16 @@ class Run:
         except NumericalFailure as error:
             self.say(f"rvm: {sim.job.name}: {error}{self._last_healthy()}{self.examine(error)}", failure=True)
             return 3
+        except DirectoryLost as error:
+            self.say(f"rvm: {sim.job.name}: {error}; step {sim.number}, t = {sim.time:.6g}", failure=True)
+            return 3
         except DiskFailure as error:
             self.say(f"rvm: {sim.job.name}: {error}{self._last_checkpoint()}", failure=True)
             return 3
         if progress is not None:
             progress.close()
         if stopped:
-            if self.head:
+            if self.head and self.claim.held():
                 control.forget_stop_file()
             again = ["mpirun", "-n", str(self.comm.size)] if self.comm.size > 1 else []
             again += ["rvm", "run", str(self.output / "job.toml"), "--output", str(self.output), "--restart"]
@@ -719,6 +723,8 @@ class Run:
         found = postmortem.examine(self.simulation, failure)
         if not self.head:
             return ""
+        if not self.claim.held():
+            return "; no post-mortem is written: the directory is no longer this run's"
         more = {"versions": self.facts, "checkpoint_step": self.saved, "history": self._last_rows()}
         try:
             return f"; more in {postmortem.write(self.output, found, more)}"
@@ -758,6 +764,7 @@ class Run:
 
     def save(self) -> None:
         """Write a checkpoint, once all that was written before it is on disk."""
+        self.claim.check()
         sim = self.simulation
         files = [self.output / "fields.h5", *([self.output / "history.csv"] if self.head else [])]
         with checkpoint.agreed(sim.domain, self.output):
@@ -800,6 +807,7 @@ class Run:
             self._write_snapshot(row)
 
     def _write_snapshot(self, index: int) -> None:
+        self.claim.check()
         sim = self.simulation
         i0, j0 = sim.domain.start
         nx, ny = sim.domain.local
@@ -808,4 +816,8 @@ class Run:
             first, count = (j0, ny) if "/x-" in name else (i0, nx)
             extra[name] = ((slice(first, first + count),), values)
         self.fields.write(index, sim.time, sim.snapshot(), extra)
-        self._on_rank_0(lambda: self.xdmf.add(index, sim.time))
+        on_rank_0(self.comm, lambda: self._describe(index))
+
+    def _describe(self, index: int) -> None:
+        if self.xdmf is not None:
+            self.xdmf.add(index, self.simulation.time)
