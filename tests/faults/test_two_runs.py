@@ -12,7 +12,7 @@ from rvm_mpi.results import open_run
 
 pytestmark = pytest.mark.timeout(900)
 
-SLOW = ["0.2:step:all:each"]
+HELD = ["hold:step:all:6"]
 
 
 def contents(directory):
@@ -22,7 +22,7 @@ def contents(directory):
 @pytest.mark.parametrize("ranks", [1, 2, 3])
 def test_beside_a_run_every_other_is_refused(place, whole, ranks, capsys):
     job, directory = place / "job.toml", place / "run"
-    with Started(ranks, SLOW, "run", job, "--output", directory, "--quiet", log=place / "log") as started:
+    with Started(ranks, HELD, "run", job, "--output", directory, "--quiet", log=place / "log") as started:
         wait_for(lambda: rundir.checkpoints(directory), started)
         for number, options in enumerate((["--restart"], ["--overwrite"], [])):
             status, lines = run(
@@ -36,6 +36,7 @@ def test_beside_a_run_every_other_is_refused(place, whole, ranks, capsys):
             assert int(found[1]) in started.find_ranks()
         assert main(["info", str(directory)]) == 0
         assert re.search(rf"^running +now: a run on .* \(process {found[1]}, ", capsys.readouterr().out, re.MULTILINE)
+        (place / "go").touch()
         assert started.wait() == 0
     assert started.lines() == []
     assert [path.name for path in place.iterdir() if "old" in path.name] == []
@@ -51,9 +52,11 @@ def test_of_two_that_overwrite_at_one_instant_one_is_refused(place, whole):
     old = contents(directory)
     options = ["run", job, "--output", directory, "--quiet", "--overwrite"]
     with (
-        Started(1, SLOW, *options, log=place / "log-1") as one,
-        Started(1, SLOW, *options, log=place / "log-2") as other,
+        Started(1, HELD, *options, log=place / "log-1") as one,
+        Started(1, HELD, *options, log=place / "log-2") as other,
     ):
+        wait_for(lambda: other.process.poll() is not None, one)
+        (place / "go").touch()
         said = sorted((started.wait(), started.lines()) for started in (one, other))
     assert [status for status, _ in said] == [0, 2], said
     assert "is writing into it" in said[1][1][0]
@@ -67,11 +70,12 @@ def test_of_two_that_overwrite_at_one_instant_one_is_refused(place, whole):
 def test_a_run_whose_directory_is_moved_away_stops(place, whole, ranks, again):
     """It writes nothing into what another run has made in the meantime."""
     job, directory, aside = place / "job.toml", place / "run", place / "aside"
-    with Started(ranks, SLOW, "run", job, "--output", directory, "--quiet", log=place / "log") as started:
+    with Started(ranks, HELD, "run", job, "--output", directory, "--quiet", log=place / "log") as started:
         wait_for(lambda: rundir.checkpoints(directory), started)
         directory.rename(aside)
         if again:
             assert run(1, [], job, "--output", directory, "--quiet", log=place / "log-2") == (0, [])
+        (place / "go").touch()
         assert started.wait() == 3
         lines = started.lines()
     assert len(lines) == 1

@@ -296,7 +296,7 @@ def test_a_snapshot_written_because_the_run_stopped_stays_when_it_goes_on(tmp_pa
     assert run_job(longer, directory, restart=True, quiet=True) == 0
     assert there(directory)[:2] == stored[:2]
     assert there(directory)[2] > stored[1]
-    assert len(times(directory)) == 5
+    assert times(directory)[3:] == [None]
     assert np.array_equal(density_at(directory, stored[1]), first)
     assert [line.split(",")[0] for line in rows(directory)[1:]] == [str(n) for n in range(7)]
     # beside an undisturbed run it is said, and no difference
@@ -317,7 +317,8 @@ def test_a_run_that_is_extended_keeps_its_old_end_and_what_is_no_longer_asked_fo
     longer = make_job(time={"end": 0.04, **steps}, output={"times": [0.03, 0.04]})
     assert run_job(longer, directory, restart=True, quiet=True) == 0
     assert times(directory) == [0.01, 0.02, 0.03, 0.04]
-    assert there(directory) == [float(t) for t in re.findall('Time Value="(.*?)"', (directory / "fields.xdmf").read_text())]
+    described = re.findall('Time Value="(.*?)"', (directory / "fields.xdmf").read_text())
+    assert there(directory) == [float(t) for t in described]
     now = open_run(directory)
     for name in before.data_vars:
         assert np.array_equal(before[name].values, now[name].values[:2], equal_nan=True), name
