@@ -391,6 +391,17 @@ def fails_on_fields(full):
     return fsync
 
 
+def test_overwriting_the_directory_one_stands_in_leaves_the_old_run_whole(tmp_path, monkeypatch):
+    directory = tmp_path / "run"
+    assert run_job(make_job(), directory, quiet=True) == 0
+    before = {p.name: p.read_bytes() for p in directory.iterdir()}
+    monkeypatch.chdir(directory)
+    other = make_job(time={"end": 1.0, "max_steps": 2})
+    assert run_job(other, Path(), overwrite=True, quiet=True) == 0
+    assert {p.name: p.read_bytes() for p in (tmp_path / "run-old-1").iterdir()} == before
+    assert len(rows(directory)) == 4
+
+
 def test_times_may_be_added_but_not_behind_the_run(tmp_path):
     directory = tmp_path / "run"
     first = make_job(output={"times": [0.0, 0.005, 0.9]})
