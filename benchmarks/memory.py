@@ -51,6 +51,7 @@ def of_rank(job: dict) -> None:
     from rvm_mpi import estimates
     from rvm_mpi.control import Control
     from rvm_mpi.job import Job
+    from rvm_mpi.runlock import Claim
     from rvm_mpi.simulation import Run, Simulation
 
     comm = MPI.COMM_WORLD
@@ -60,7 +61,7 @@ def of_rank(job: dict) -> None:
     marks["state"] = status()["VmHWM"]
     with tempfile.TemporaryDirectory() as folder:
         output = Path(comm.bcast(folder)) / "run"
-        with Control(output) as control, Run(sim, output, restart=False, overwrite=False, quiet=True) as run:
+        with Control(output) as control, Claim(output, comm) as claim, Run(sim, claim, False, False, quiet=True) as run:
             save = run.save
 
             def saving() -> None:

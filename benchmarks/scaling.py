@@ -88,6 +88,7 @@ def watched_run(job: dict, log: Log):
 
     from rvm_mpi.control import Control
     from rvm_mpi.job import Job
+    from rvm_mpi.runlock import Claim
     from rvm_mpi.simulation import Run, Simulation
 
     class Watched(MPI.Intracomm):
@@ -108,7 +109,7 @@ def watched_run(job: dict, log: Log):
         setattr(sim.kinetic, name, log.timed("stages", getattr(sim.kinetic, name)))
     folder = tempfile.TemporaryDirectory() if comm.rank == 0 else None
     output = Path(comm.bcast(folder.name if folder else None)) / "run"
-    with Control(output) as control, Run(sim, output, restart=False, overwrite=False, quiet=True) as run:
+    with Control(output) as control, Claim(output, comm) as claim, Run(sim, claim, False, False, quiet=True) as run:
         sim.domain.comm = Watched(sim.domain.comm)  # no sooner: PETSc takes nothing but mpi4py's own class
         run.go(control)
     comm.Barrier()

@@ -35,22 +35,19 @@ class _Parser(argparse.ArgumentParser):
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command; returns its exit status (0, 1, 2, 3 or 75)."""
-    log: Path | None = None
     terminal.prepare()
     try:
         try:
             options = _parser().parse_args(arguments)
         except BrokenPipeError:  # the reader of --help has gone
             return 0
-        if options.command == "run":
-            log = _output(options) / "run.log"
         return int(options.function(options))
     except JobError as error:
         return failures.refuse(error)
     except KeyboardInterrupt:
         return failures.interrupted()
     except Exception as error:
-        return failures.fail(error, log)
+        return failures.fail(error)
     finally:
         terminal.flush()  # --help leaves its text to the end of the program
 
@@ -167,16 +164,19 @@ def _run(options: argparse.Namespace) -> int:
     from rvm_mpi.domain import partition
     from rvm_mpi.estimates import check_box, check_start, check_weights
     from rvm_mpi.job import Job
+    from rvm_mpi.job_checks import check_source
 
     job = Job.from_file(options.job, options.set)
     output = _output(options)
     rundir.check(output, options.restart, options.overwrite)
     if options.restart:
-        rundir.check_restart(output, job)
-    check_box(job)
-    check_grid(job)
+        rundir.check_restart(output, job)  # of the start nothing is looked at: the checkpoint holds it
+    else:
+        check_source(job, options.job, options.set)
+        check_box(job)
+        check_grid(job)
+        check_start(job)
     check_weights(job)
-    check_start(job)
     check_world()
     partition(job.space.cells, launched().size)
 
@@ -203,29 +203,48 @@ def _check(options: argparse.Namespace) -> int:
     lines: list[str] = []
     if options.job is not None:
         from rvm_mpi.accuracy import check_grid
-        from rvm_mpi.estimates import check_box, check_start, check_weights
+        from rvm_mpi.estimates import check_box, check_weights
         from rvm_mpi.job import Job
 
         job = Job.from_file(options.job, options.set)
-        check_box(job)
-        check_grid(job)
+        starts = _starts(job, options)
+        if starts:
+            check_box(job)
+            check_grid(job)
         check_weights(job)
-        check_start(job)
-        lines += _check_lines(job, options.job, options.ranks or launched().size)
+        lines += _check_lines(job, options.job, options.ranks or launched().size, starts)
     if options.states:
         lines += [*([""] if lines else []), *describe_states()]
     terminal.answer("\n".join(lines))
     return 0
 
 
-def _check_lines(job: Job, file: str, ranks: int) -> Iterator[str]:
+def _starts(job: Job, options: argparse.Namespace) -> bool:
+    """Whether the run that a job's state comes from is there; JobError if not, but for a job that has started."""
+    from rvm_mpi import rundir
+    from rvm_mpi.job_checks import check_source
+
+    try:
+        check_source(job, options.job, options.set)
+    except JobError:
+        file = Path(options.job)
+        if file.name == "job.toml" and rundir.checkpoints(file.parent):
+            return False
+        raise
+    return True
+
+
+def _check_lines(job: Job, file: str, ranks: int, starts: bool = True) -> Iterator[str]:
     yield f"{file}: valid" + (f' ("{one_line(job.title)}")' if job.title else "")
     yield ""
     yield from _grid_lines(job, ranks)
-    yield from _step_lines(job, ranks)
-    yield from _physics_lines(job)
-    yield from _velocity_lines(job)
-    yield from _accuracy_lines(job)
+    if starts:
+        yield from _step_lines(job, ranks)
+        yield from _physics_lines(job)
+        yield from _velocity_lines(job)
+        yield from _accuracy_lines(job)
+    else:
+        yield _row("initial state", "the run it came from is gone; --restart goes on from the checkpoint")
     yield from _watch_lines(job)
 
 

@@ -34,13 +34,10 @@ class Quantity:
         Names of its axes.
     data : array or HDF5 dataset
         Has a shape, and gives an array for a slice of its first axis.
-    missing : (n,) bool array, optional
-        Entries of the first axis that are not there, whatever stands in their place.
     """
 
     axes: tuple[str, ...]
     data: Any
-    missing: np.ndarray | None = None
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -54,11 +51,8 @@ class Quantity:
             yield slice(start, min(start + step, self.shape[0]))
 
     def read(self, part: slice) -> np.ndarray:
-        """One piece, NaN where nothing is."""
-        values = np.array(self.data[part], dtype=np.float64)
-        if self.missing is not None:
-            values[self.missing[part]] = np.nan
-        return values
+        """One piece."""
+        return np.array(self.data[part], dtype=np.float64)
 
     def largest(self) -> float:
         """Largest size of its finite numbers."""
@@ -84,6 +78,23 @@ class Columns:
 
     def __getitem__(self, part: slice) -> np.ndarray:
         return np.asarray(self.dataset[part, :, self.begin : self.end])
+
+
+@dataclass(frozen=True)
+class Picked:
+    """Some entries of the first axis of a dataset, in rising order."""
+
+    dataset: Any
+    entries: Sequence[int]
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """That of the dataset, but for the first axis."""
+        return (len(self.entries), *self.dataset.shape[1:])
+
+    def __getitem__(self, part: slice) -> np.ndarray:
+        entries = self.entries[part]
+        return np.array([self.dataset[k] for k in entries]).reshape(len(entries), *self.shape[1:])
 
 
 @dataclass(frozen=True)
@@ -205,12 +216,15 @@ class Part:
         By name, in an order in which what comes first in a run comes first.
     notes : list of str
         What is already known to differ.
+    asides : list of str
+        What is to be said and is no difference.
     """
 
     name: str
     a: dict[str, Quantity]
     b: dict[str, Quantity]
     notes: list[str] = field(default_factory=list)
+    asides: list[str] = field(default_factory=list)
 
 
 def compare_paths(a: Path, b: Path, tolerance: float | None = None) -> tuple[bool, list[str]]:
@@ -240,7 +254,7 @@ def compare_paths(a: Path, b: Path, tolerance: float | None = None) -> tuple[boo
     with ExitStack() as stack:
         read = _runs if a.is_dir() else _checkpoints
         try:
-            parts, lines = read(a, b, stack)
+            parts, lines = read(a, b, stack, tolerance)
         except (OSError, KeyError, ValueError, IndexError) as error:
             if isinstance(error, JobError):
                 raise
@@ -250,23 +264,25 @@ def compare_paths(a: Path, b: Path, tolerance: float | None = None) -> tuple[boo
         for part in parts:
             alike, report = _compare_part(part, tolerance)
             same = same and alike
-            lines += report
+            lines += [f"{part.name}: {line}" for line in part.asides] + report
             compared.append(f"{len(part.a)} of {part.name}")
     how = "bit for bit" if tolerance is None else f"within {tolerance:g}"
     verdict = f"the same {how}" if same else f"not the same {how}"
     return same, [*lines, f"{a} and {b} are {verdict} (quantities: {', '.join(compared)})"]
 
 
-def _runs(a: Path, b: Path, stack: ExitStack) -> tuple[list[Part], list[str]]:
+def _runs(a: Path, b: Path, stack: ExitStack, tolerance: float | None) -> tuple[list[Part], list[str]]:
     for path in (a, b):
         if not rundir.holds_run(path):
             raise JobError(f"{path}: holds no run")
         for name in (HISTORY, FIELDS):
             if not (path / name).is_file():
                 raise JobError(f"{path}: has no {name}")
-    lines = _job_lines(*(Job.from_file(path / "job.toml") for path in (a, b)))
-    files = [stack.enter_context(_open(path / FIELDS, "r")) for path in (a, b)]
-    return [_histories(read_history(a), read_history(b)), _snapshots(*files)], lines
+    jobs = [Job.from_file(path / "job.toml") for path in (a, b)]
+    lines = _job_lines(*jobs)
+    one, other = (stack.enter_context(_open(path / FIELDS, "r")) for path in (a, b))
+    wanted = {time for job in jobs for time in job.output.times}
+    return [_histories(read_history(a), read_history(b)), _snapshots(one, other, wanted, tolerance or 0.0)], lines
 
 
 def _histories(a: dict[str, np.ndarray], b: dict[str, np.ndarray]) -> Part:
@@ -277,24 +293,45 @@ def _histories(a: dict[str, np.ndarray], b: dict[str, np.ndarray]) -> Part:
     return Part(HISTORY, cut[0], cut[1], notes)
 
 
-def _snapshots(a: Any, b: Any) -> Part:
-    """The datasets of two `fields.h5`; what stands in the place of a snapshot that only one has is not compared."""
-    times, notes, missing = [file["time"][()] for file in (a, b)], [], None
-    if times[0].shape == times[1].shape:
-        there = [np.isfinite(time) for time in times]
-        missing = ~(there[0] & there[1])
-        for k in np.flatnonzero(there[0] != there[1]):
-            which, time = ("first", times[0][k]) if there[0][k] else ("second", times[1][k])
-            notes.append(f"snapshot {k} (t = {time:g}) is in the {which} only")
+def _snapshots(a: Any, b: Any, wanted: set[float], tolerance: float) -> Part:
+    """The snapshots that two `fields.h5` both have.
+
+    Of one that only one has it is said; it is a difference if one of the jobs asks for its time, and none if it is
+    what a run left where it once stopped.
+    """
+    times = [file["time"][()] for file in (a, b)]
+    pairs, single = _pairs(times[0], times[1], tolerance)
+    notes, asides = [], []
+    for which, k in single:
+        time = times[which][k]
+        line = f"snapshot {k} (t = {time:g}) is in the {('first', 'second')[which]} only"
+        if time in wanted:
+            notes.append(line)
+        else:
+            asides.append(f"{line}, left where that run once stopped")
     found: list[dict[str, Quantity]] = [{}, {}]
-    for file, side in zip((a, b), found):
+    for file, side, entries in zip((a, b), found, zip(*pairs) if pairs else ((), ())):
         for name, dataset in [("time", file["time"]), *_datasets(file)]:
             axes = tuple(str(dataset.attrs["axes"]).split())
-            side[name] = Quantity(axes, dataset, missing if axes[0] == "time" else None)
-    return Part(FIELDS, found[0], found[1], notes)
+            side[name] = Quantity(axes, Picked(dataset, entries) if axes[0] == "time" else dataset)
+    return Part(FIELDS, found[0], found[1], notes, asides)
 
 
-def _checkpoints(a: Path, b: Path, stack: ExitStack) -> tuple[list[Part], list[str]]:
+def _pairs(a: np.ndarray, b: np.ndarray, tolerance: float) -> tuple[list[tuple[int, int]], list[tuple[int, int]]]:
+    """Places of the times that two lists share, NaN aside, and those of which only one has: (0 or 1, place)."""
+    here, there = ([int(k) for k in np.flatnonzero(np.isfinite(times))] for times in (a, b))
+    slack = tolerance * max([0.0, *a[here], *b[there]])
+    pairs, single = [], []
+    while here and there:
+        distance = a[here[0]] - b[there[0]]
+        if abs(distance) <= slack:
+            pairs.append((here.pop(0), there.pop(0)))
+        else:
+            single.append((0, here.pop(0)) if distance < 0.0 else (1, there.pop(0)))
+    return pairs, single + [(0, k) for k in here] + [(1, k) for k in there]
+
+
+def _checkpoints(a: Path, b: Path, stack: ExitStack, _tolerance: float | None) -> tuple[list[Part], list[str]]:
     headers, found = [], []
     for path in (a, b):
         try:
@@ -373,7 +410,9 @@ def _place(part: Part, name: str, index: tuple[int, ...]) -> str:
     where = dict(zip(axes, index))
     words = []
     if "time" in where:
-        words.append(f"snapshot {index[0]} (t = {_entry(part, 'time', index[0]):g})")
+        data = part.a[name].data
+        number = data.entries[index[0]] if isinstance(data, Picked) else index[0]
+        words.append(f"snapshot {number} (t = {_entry(part, 'time', index[0]):g})")
     if "step" in where:
         words.append(f"step {_entry(part, 'step', index[0]):g}")
     if "x" in where and len(axes) > 1:

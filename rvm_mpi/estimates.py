@@ -562,21 +562,28 @@ def steps(job: Job) -> float:
 
     Where the grid is rescaled they grow as the gas cools by Haff's law.
     """
-    number = stretched_time(job)(job.time.end) / first_step(job).later
+    start = start_fields(job)
+    rate = float((start.density * np.sqrt(start.temperature)).mean())
+    number = stretched_time(job, rate)(job.time.end) / first_step(job).later
     if job.time.max_steps is not None:
         number = min(number, job.time.max_steps)
     return max(1.0, number)
 
 
-def stretched_time(job: Job) -> Callable[[float], float]:
+def stretched_time(job: Job, rate: float) -> Callable[[float], float]:
     """A function of time that grows about as fast as the number of steps: log(1 + a t)/a where steps grow as 1 + a t.
 
     They do where the grid shrinks with a gas that cools by Haff's law, T = T(0)/(1 + a t)^2.
+
+    Parameters
+    ----------
+    job : Job
+    rate : float
+        Mean of density times the square root of the temperature at the start.
     """
     if job.scaling.kind == "none" or job.time.dt is not None or job.collision.elastic:
         return lambda time: time
-    start = start_fields(job)
-    haff = job.collision.cooling * float((start.density * np.sqrt(start.temperature)).mean())
+    haff = job.collision.cooling * rate
     return lambda time: log1p(haff * time) / haff
 
 

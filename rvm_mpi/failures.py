@@ -11,13 +11,16 @@ import os
 import sys
 import time
 import traceback
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from rvm_mpi.job_text import JobError, one_line
 from rvm_mpi.launch import LaunchError, launched
 from rvm_mpi.rundir import ENDED
 from rvm_mpi.terminal import tell
+
+T = TypeVar("T")
 
 REFUSED = 2
 FAILED = 3
@@ -25,6 +28,7 @@ INTERRUPTED = 130  # as a shell has it for Ctrl-C
 PATIENCE = 5.0
 """Seconds that a rank other than 0 leaves to rank 0 to say what is wrong for all, and to the launcher to end it:
 on a busy machine 1.5 were too few."""
+
 
 def _communicator() -> Any:
     """The world communicator if MPI runs and has more than one rank, else None."""
@@ -60,31 +64,69 @@ def interrupted() -> int:
     return INTERRUPTED
 
 
-def fail(error: BaseException, log: Path | None = None) -> int:
-    """End a failed run: one line from the failing rank, the traceback to the log; returns exit status 3.
-
-    Every other rank is ended with it: MPI would leave them waiting for ever.
+def on_rank_0(comm: Any, action: Callable[[], T]) -> T | None:
+    """Do something on rank 0; if it cannot, every rank raises the same error. Collective.
 
     Parameters
     ----------
-    error : BaseException
-    log : Path, optional
-        `run.log` of the run; the traceback is appended if the file is there. RVM_DEBUG=1 in the environment
-        prints it too.
+    comm : MPI communicator
+    action : callable
+        May raise JobError, or an OSError, which becomes a DiskFailure.
+
+    Returns
+    -------
+    What `action` returns; None on other ranks.
     """
+    from rvm_mpi.results import DiskFailure
+
+    result: T | None = None
+    error: Exception | None = None
+    if comm.rank == 0:
+        try:
+            result = action()
+        except (JobError, DiskFailure) as caught:
+            error = caught
+        except OSError as caught:
+            error = DiskFailure(str(caught))
+    error = comm.bcast(error)
+    if error is not None:
+        raise error
+    return result
+
+
+def _rank() -> int:
     communicator = _communicator()
-    rank = communicator.Get_rank() if communicator is not None else launched().rank
-    details = "".join(traceback.format_exception(type(error), error, error.__traceback__))
-    what = f"rank {rank}: {type(error).__name__}: {one_line(' '.join(str(error).split()))}"
-    if log is not None and log.is_file():
+    return communicator.Get_rank() if communicator is not None else launched().rank
+
+
+def _details(error: BaseException) -> str:
+    return "".join(traceback.format_exception(type(error), error, error.__traceback__))
+
+
+def _in_one_line(error: BaseException) -> str:
+    return f"rank {_rank()}: {type(error).__name__}: {one_line(' '.join(str(error).split()))}"
+
+
+def write_traceback(error: BaseException, log: Path) -> None:
+    """Append an error's traceback, and how the run ended, to a log, if that is there and can be written."""
+    if log.is_file():
         try:
             with log.open("a", encoding="utf-8", errors="replace") as file:
-                file.write(f"rank {rank} failed:\n{details}{ENDED}failed: {what}\n")
+                file.write(f"rank {_rank()} failed:\n{_details(error)}{ENDED}failed: {_in_one_line(error)}\n")
         except OSError:  # the disk may be what failed
             pass
+
+
+def fail(error: BaseException) -> int:
+    """End a failed run: one line from the failing rank; returns exit status 3.
+
+    Every other rank is ended with it: MPI would leave them waiting for ever. RVM_DEBUG=1 in the environment prints the
+    traceback.
+    """
+    communicator = _communicator()
     if os.environ.get("RVM_DEBUG", "0") not in ("", "0"):
-        tell(details.rstrip())
-    tell(f"rvm: {what}")
+        tell(_details(error).rstrip())
+    tell(f"rvm: {_in_one_line(error)}")
     if communicator is not None:
         communicator.Abort(FAILED)
     return FAILED

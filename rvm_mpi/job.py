@@ -48,6 +48,10 @@ from rvm_mpi.job_text import (
 __all__ = ["Boundary", "Job", "JobError", "JobFileError"]
 
 
+INSTEAD = {"output.every": "output.times", "output.times": "output.every"}
+"""Keys of a file that make way when the other one is set on the command line."""
+
+
 class Job(Section):
     """A valid job with every default written out. Made by `from_file` or `from_dict`, equal by its keys."""
 
@@ -60,7 +64,7 @@ class Job(Section):
     fluid: Fluid = Field(default=Fluid(), description="a table with enabled")
     initial: Initial = Field(description="a table with state and its keys")
     time: Time = Field(description="a table with end, cfl, max_steps, dt")
-    output: Output = Field(default=Output(), description="a table with times, checkpoint_every, marginals")
+    output: Output = Field(default=Output(), description="a table with times or every, checkpoint_every, marginals")
     watch: Watch = Field(default=Watch(), description="a table with box_warning, box_stop, balance")
 
     _name: str = PrivateAttr("job")
@@ -84,17 +88,27 @@ class Job(Section):
 
     @classmethod
     def from_file(cls, path: str | os.PathLike[str], overrides: Iterable[str] = ()) -> Job:
-        """Read a TOML job file and set ``KEY=VALUE`` overrides in it; JobError if it is not valid."""
+        """Read a TOML job file and set ``KEY=VALUE`` overrides in it; JobError if it is not valid.
+
+        Paths in the file are relative to its folder, paths in overrides to the working directory.
+        """
         text = read_text(path)
         tables = parse_toml(text, os.fspath(path))
+        _place_paths(tables, path)
         keys = [apply_override(tables, override) for override in overrides]
+        for key in keys:  # what is said last holds
+            if key in INSTEAD and INSTEAD[key] not in keys and isinstance(tables["output"], dict):
+                tables["output"].pop(INSTEAD[key].split(".")[1], None)
         job = _validated(tables, os.fspath(path), keys)
         job._name, job._text = Path(path).stem, text
         return job
 
     @classmethod
     def from_dict(cls, mapping: Mapping[str, Any], name: str = "job") -> Job:
-        """A job from the tables of a job file as dictionaries; JobError if it is not valid."""
+        """A job from the tables of a job file as dictionaries; JobError if it is not valid.
+
+        Paths in it are relative to the working directory.
+        """
         if not isinstance(mapping, Mapping):
             raise JobError(f"{name}: a job is a dictionary of tables (value {shown(mapping)})")
         job = _validated(mapping, name, ())
@@ -104,6 +118,14 @@ class Job(Section):
     def to_toml(self) -> str:
         """The job as a job file that gives an equal job, every default written out."""
         return _lists_in_one_line(tomli_w.dumps(_keys(self)))
+
+
+def _place_paths(tables: Mapping[str, Any], file: str | os.PathLike[str]) -> None:
+    """Put the folder of the job file in front of relative paths: they mean the same wherever the job is run from."""
+    initial = tables.get("initial")
+    if isinstance(initial, dict) and isinstance(initial.get("run"), str):
+        folder = os.path.realpath(Path(file).parent)
+        initial["run"] = os.path.join(folder, os.path.expanduser(initial["run"]))  # noqa: PTH111, PTH118
 
 
 def _keys(job: Job) -> dict[str, Any]:
@@ -147,7 +169,8 @@ def _descriptions(
     model: type[BaseModel], path: tuple[str, ...] = ()
 ) -> Iterator[tuple[tuple[str, ...], str]]:
     """What is allowed under every key of a model and of the tables in it."""
-    for key, field in model.model_fields.items():
+    for name, field in model.model_fields.items():
+        key = field.alias or name
         here = (*path, key)
         yield here, field.description or ""
         for table in _tables(field.annotation):
@@ -183,7 +206,8 @@ def _problem(error: ValidationError, raw: dict[str, Any]) -> KeyProblem:
     """The first thing pydantic found wrong; misspelt keys first, for they explain missing ones."""
     errors = error.errors(include_url=False)
     first = min(errors, key=lambda e: e["type"] != "extra_forbidden")
-    path = tuple(p for p in first["loc"] if isinstance(p, str))
+    # pydantic marks which form of a value it tried, here in parentheses
+    path = tuple(p for p in first["loc"] if isinstance(p, str) and not p.startswith("("))
     kind, value, context = first["type"], first["input"], first.get("ctx", {})
     if kind == "union_tag_not_found":
         return KeyProblem("initial.state", "must be given", allowed=_listed(INITIAL_STATES))

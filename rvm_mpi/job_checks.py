@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import os
+from collections.abc import Iterable
+from fractions import Fraction
 from itertools import pairwise
-from math import isfinite, prod
+from math import exp, isfinite, log, prod
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from rvm_mpi import kinetic_theory
 from rvm_mpi.job_schema import (
+    MOST_SNAPSHOTS,
     Bkw,
     Boundaries,
     Boundary,
@@ -22,6 +26,7 @@ from rvm_mpi.job_schema import (
     Section,
     Sides,
     Space,
+    SpacedTimes,
     TemperatureDisc,
     Time,
     TwoGaussians,
@@ -31,7 +36,7 @@ from rvm_mpi.job_schema import (
     Wave,
     both_sides,
 )
-from rvm_mpi.job_text import KeyProblem, shown
+from rvm_mpi.job_text import JobError, KeyProblem, shown
 
 if TYPE_CHECKING:
     from rvm_mpi.job import Job
@@ -341,13 +346,55 @@ def _resolve_time(time: Time) -> Time:
 
 
 def _resolve_output(output: Output, end: float) -> Output:
+    if output.every is not None:
+        if output.times is not None:
+            raise KeyProblem(
+                "output.every", "output.times and output.every exclude each other", output.every, "one of the two"
+            )
+        return _updated(output, times=_times_every(output.every, end), every=None)
     if output.times is None:
         return _updated(output, times=(end,))
-    if max(output.times) > end:
-        raise KeyProblem("output.times", "after the end", max(output.times), f"0 to time.end = {end}")
-    if any(b <= a for a, b in pairwise(output.times)):
-        raise KeyProblem("output.times", "not rising", output.times, "each time once, in rising order")
-    return output
+    times: Any = output.times
+    if isinstance(times, SpacedTimes):
+        times = _spaced_times(times, end)
+    if max(times) > end:
+        raise KeyProblem("output.times", "after the end", max(times), f"0 to time.end = {end}")
+    if any(b <= a for a, b in pairwise(times)):
+        raise KeyProblem("output.times", "not rising", times, "each time once, in rising order")
+    return _updated(output, times=times)
+
+
+def _times_every(every: float, end: float) -> tuple[float, ...]:
+    """0, every, 2 every, ... and the end, as decimal numbers: 0.3 and not three times the binary 0.1."""
+    if every > end:
+        raise KeyProblem("output.every", "longer than the run", every, f"at most time.end = {end}")
+    if end / every > MOST_SNAPSHOTS - 1:
+        raise KeyProblem("output.every", f"more than {MOST_SNAPSHOTS} snapshots", every, "a longer time")
+    step, last = Fraction(repr(every)), Fraction(repr(end))
+    whole = int(last / step)
+    if last - whole * step <= step / 10**9:  # the end itself, but for rounding
+        whole -= 1
+    return (*(float(k * step) for k in range(whole + 1)), end)
+
+
+def _spaced_times(given: SpacedTimes, end: float) -> tuple[float, ...]:
+    """So many times from one to another. Of those between twelve digits: the same numbers on every machine."""
+    first, last = given.start, given.to
+    if last > end:
+        raise KeyProblem("output.times.to", "after the end", last, f"at most time.end = {end}")
+    if not first < last:
+        raise KeyProblem("output.times.from", "not below output.times.to", first, f"below {last}")
+    if given.spacing == "log" and first == 0.0:
+        raise KeyProblem("output.times.from", 'a logarithm has no 0 (spacing = "log")', first, "a number > 0")
+    shares = [k / (given.count - 1) for k in range(1, given.count - 1)]
+    if given.spacing == "log":
+        between = [exp(log(first) + share * (log(last) - log(first))) for share in shares]
+    else:
+        between = [first + share * (last - first) for share in shares]
+    times = (first, *(float(f"{time:.12g}") for time in between), last)
+    if any(b <= a for a, b in pairwise(times)):
+        raise KeyProblem("output.times.count", "too many for so short a span", given.count)
+    return times
 
 
 # --- initial states
@@ -486,18 +533,38 @@ def _resolve_wave(state: Wave, space: Space, d: int, collision: Collision) -> Wa
 
 
 def _resolve_from_run(state: FromRun, space: Space, d: int, collision: Collision) -> FromRun:
+    # whether it is there is asked where a run starts from it: once it has, its checkpoints hold all of it
+    return _updated(state, run=os.path.join(Path.cwd(), os.path.expanduser(state.run)))  # noqa: PTH111, PTH118
+
+
+def check_source(job: Job, name: str, overrides: Iterable[str] = ()) -> None:
+    """Refuse a job whose initial state is another run's if that run is not there.
+
+    Parameters
+    ----------
+    job : Job
+    name : str
+        What the message begins with, such as the job file.
+    overrides : iterable of str
+        What was set on the command line, ``KEY=VALUE`` each.
+
+    Raises
+    ------
+    JobError
+        Naming the key and the directory.
+    """
+    state = job.initial
+    if not isinstance(state, FromRun):
+        return
     try:
-        run = Path(state.run).expanduser().absolute()
-        found, fields = run.is_dir(), (run / "fields.h5").is_file()
-    except (OSError, ValueError, RuntimeError):
+        found, fields = Path(state.run).is_dir(), (Path(state.run) / "fields.h5").is_file()
+    except (OSError, ValueError):
         found = fields = False
-    if not found:
-        raise KeyProblem("initial.run", "no such directory", state.run, "the directory of a run")
     if not fields:
-        raise KeyProblem(
-            "initial.run", "holds no run: there is no fields.h5", state.run, "the directory of a run"
-        )
-    return _updated(state, run=str(run))
+        # the path in full, however long: it says where a relative one was looked for
+        wrong = f"holds no run: {state.run} has no fields.h5" if found else f"no such directory: {state.run}"
+        problem = KeyProblem("initial.run", wrong, allowed="the directory of a run")
+        raise JobError(f"{name}: {problem.line(one.partition('=')[0].strip() for one in overrides)}")
 
 
 def _resolve_two_gaussians(state: TwoGaussians, space: Space, d: int, collision: Collision) -> TwoGaussians:

@@ -9,9 +9,19 @@ from __future__ import annotations
 import re
 import sys
 from collections.abc import Mapping
-from typing import Annotated, Any, Literal, get_args
+from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PlainValidator, PrivateAttr, model_validator
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Discriminator,
+    Field,
+    PlainValidator,
+    PrivateAttr,
+    Tag,
+    model_validator,
+)
 
 LARGEST_SEED = 2**63 - 1
 FOLLOWS: Any = None
@@ -279,11 +289,47 @@ def duration(value: Any) -> float:
     return seconds
 
 
-class Output(Section):
-    """Snapshots at `times` (hit exactly) and checkpoints each `checkpoint_every` seconds of wall clock."""
+MOST_SNAPSHOTS = 20_000
+"""Snapshots of a run: all their times stand in `job.toml`, which is to stay below `job_text.LARGEST_FILE`."""
 
-    times: tuple[NonNegative, ...] = Field(
-        default=FOLLOWS, description="a list of rising numbers from 0 to time.end", min_length=1
+
+class SpacedTimes(Section):
+    """Output times in few words: `count` of them, the first at `from` and the last at `to`."""
+
+    start: NonNegative = Field(alias="from", description='a number >= 0, with spacing = "log" > 0')
+    to: Positive = Field(description="a number above from, at most time.end")
+    count: Annotated[int, Field(strict=True, ge=2, le=MOST_SNAPSHOTS)] = Field(
+        description=f"an integer from 2 to {MOST_SNAPSHOTS}"
+    )
+    spacing: Literal["linear", "log"] = Field(default="linear", description='"linear" | "log"')
+
+
+def _form_of_times(value: Any) -> str:
+    return "(table)" if isinstance(value, (Mapping, SpacedTimes)) else "(list)"
+
+
+if TYPE_CHECKING:
+    Times = tuple[float, ...]  # what they are once resolved
+else:
+    Times = Annotated[
+        Annotated[tuple[NonNegative, ...], Field(min_length=1), Tag("(list)")] | Annotated[SpacedTimes, Tag("(table)")],
+        Discriminator(_form_of_times),
+    ]
+
+
+class Output(Section):
+    """Snapshots at `times` (hit exactly) and checkpoints each `checkpoint_every` seconds of wall clock.
+
+    After resolution `times` is the list of them all and `every` is None.
+    """
+
+    times: Times = Field(
+        default=FOLLOWS,
+        description="a list of rising numbers from 0 to time.end, "
+        'or a table such as {from = 0.01, to = 100, count = 60, spacing = "log"}',
+    )
+    every: Positive | None = Field(
+        default=None, description="a number > 0, at most time.end, instead of times: 0, every, 2 every, ... and the end"
     )
     checkpoint_every: Annotated[float, BeforeValidator(duration)] = Field(
         default=600.0, description='a duration in quotes such as "30 s", "10 min" or "1 h"'

@@ -39,6 +39,10 @@ class DiskFailure(OSError):
     """Something could not be written; raised on every rank, with the same line."""
 
 
+class DirectoryLost(DiskFailure):
+    """The run directory is no longer this run's; raised on every rank, with the same line."""
+
+
 @dataclass(frozen=True)
 class Layout:
     """One dataset of `fields.h5`, as it is in each snapshot (the axis of times comes in front of these).
@@ -128,8 +132,15 @@ class FieldsFile:
     extra : more datasets by name, such as "wall/x-lower/pressure", with their layout
     xi_x : (points,) velocity nodes of the marginal; cell centres of the velocity box if None
     reopen : go on writing into an existing file of the same layout (restart)
-    resume_after : go on with an existing file, cut back to the job's snapshots up to this time (restart); where
-        the job asks for another number of snapshots the file is laid out anew and those are copied
+    resume : go on with an existing file (restart). Every snapshot that it holds is kept; where the job asks for more
+        of them, or for more of each, they are copied into a file that is laid out anew
+
+    Attributes
+    ----------
+    rows : list of float
+        For each place in the file, in rising order, the time of the snapshot that is there or is wanted.
+    stored : (n,) array
+        Times of the snapshots that are there, NaN for the others.
 
     Raises
     ------
@@ -147,7 +158,7 @@ class FieldsFile:
         extra: Mapping[str, Layout] | None = None,
         xi_x: np.ndarray | None = None,
         reopen: bool = False,
-        resume_after: float | None = None,
+        resume: bool = False,
     ):
         self.path = Path(path)
         self.comm = comm
@@ -158,23 +169,24 @@ class FieldsFile:
         h5py = _parallel_h5py(comm)
 
         error: Exception | None = None
-        stored = None
+        rows, stored = [float(t) for t in job.output.times], None
         if comm.rank == 0:
             try:
                 root = {**attributes, "title": job.title, "job": job.text}
-                if resume_after is not None:
-                    _resume(self.path, self.layout, _coordinates(job, xi_x), job, root, resume_after)
+                if resume:
+                    rows = _resume(self.path, self.layout, _coordinates(job, xi_x), rows, root)
                 elif reopen:
                     _check_same(self.path, self.layout, job)
                 else:
-                    _create(self.path, self.layout, _coordinates(job, xi_x), _times(job), root)
+                    _create(self.path, self.layout, _coordinates(job, xi_x), len(rows), root)
                 with _open(self.path, "r") as file:
-                    stored = np.isfinite(file["time"][()])
+                    stored = file["time"][()]
             except Exception as caught:  # whatever it is, the other ranks must hear of it
                 error = caught
-        reopen = reopen or resume_after is not None
-        self._agree(error, "be opened for this job" if reopen else "be created")
-        self._stored: np.ndarray = comm.bcast(stored)
+        self._agree(error, "be opened for this job" if reopen or resume else "be created")
+        self.rows: list[float]
+        self.stored: np.ndarray
+        self.rows, self.stored = comm.bcast((rows, stored))
 
         parallel = {"driver": "mpio", "comm": comm} if h5py.get_config().mpi else {"locking": False}
         error = None
@@ -195,7 +207,7 @@ class FieldsFile:
 
         Parameters
         ----------
-        index : position in `job.output.times`
+        index : its place in `rows`
         time : time of the snapshot
         fields : by dataset name, arrays (ny, nx, ...) of this rank's cells without ghosts, always two space
             axes
@@ -207,7 +219,7 @@ class FieldsFile:
         DiskFailure : if any rank cannot write its part; the snapshot then does not exist.
         """
         what = f"take snapshot {index} at t = {time:g}"
-        if 0 <= index < len(self._stored) and self._stored[index]:
+        if 0 <= index < len(self.stored) and np.isfinite(self.stored[index]):
             self._write_time(index, float("nan"), what)
         error: Exception | None = None
         try:
@@ -217,6 +229,7 @@ class FieldsFile:
         self._agree(error, what)
         self._flush(what)
         self._write_time(index, time, what)
+        self.rows[index] = time
 
     def close(self):
         """Close the file on all ranks; a second call does nothing."""
@@ -230,8 +243,8 @@ class FieldsFile:
         self.close()
 
     def _write_blocks(self, index: int, fields: Mapping[str, np.ndarray], extra: Mapping[str, Any]):
-        if not 0 <= index < len(self._stored):
-            raise IndexError(f"the file has room for {len(self._stored)} snapshots")
+        if not 0 <= index < len(self.stored):
+            raise IndexError(f"the file has room for {len(self.stored)} snapshots")
         if set(fields) != self._cell_fields:
             wrong = ", ".join(sorted(set(fields) ^ self._cell_fields))
             raise ValueError(f"these fields are missing or unknown: {wrong}")
@@ -258,7 +271,7 @@ class FieldsFile:
                 error = caught
         self._agree(error, what)
         self._flush(what)
-        self._stored[index] = np.isfinite(time)
+        self.stored[index] = time
 
     def _flush(self, what: str):
         error: Exception | None = None
@@ -400,7 +413,7 @@ def _check_same(path: Path, layout: Mapping[str, Layout], job: Job):
 
 
 def check_times(path: Path, job: Job, time: float):
-    """Refuse a restart whose output times up to now are others than those of the run.
+    """Refuse a restart that wants a snapshot of a time that the run has passed without taking one.
 
     Parameters
     ----------
@@ -413,48 +426,66 @@ def check_times(path: Path, job: Job, time: float):
     OSError : the file cannot be read.
     """
     with _open(path, "r") as file:
-        stored = file["time"][()]
-    before = set(stored[stored < time].tolist())  # NaN is not below anything
-    wanted = {t for t in job.output.times if t < time}
-    for t in sorted(before ^ wanted):
-        what = "was not stored" if t in wanted else "was stored"
-        raise JobError(
-            f"{job.name}: output.times: t = {t:g} {what} before the checkpoint at t = {time:g}; "
-            "only later output times may change"
-        )
+        stored = set(file["time"][()].tolist())
+    for t in job.output.times:
+        if t < time and t not in stored:
+            raise JobError(
+                f"{job.name}: output.times: t = {t:g} was not stored before the checkpoint at t = {time:g}, and cannot "
+                "be any more; only later times can be added"
+            )
 
 
 def _resume(
     path: Path,
     layout: Mapping[str, Layout],
     coordinates: Mapping[str, np.ndarray],
-    job: Job,
+    wanted: Sequence[float],
     root: Mapping[str, Any],
-    time: float,
-):
-    """Keep the job's snapshots up to `time` and no others, in a new file if the layout changed."""
-    with _open(path, "r") as file:
-        stored = file["time"][()].tolist()
-        same = all(
-            name in file and file[name].shape == (_times(job), *entry.shape) for name, entry in layout.items()
-        )
-    kept = {index: stored.index(t) for index, t in enumerate(job.output.times) if t <= time and t in stored}
-    if same and all(index == place for index, place in kept.items()):
-        with _open(path, "r+") as file:
-            for index in range(_times(job)):
-                if index not in kept:
-                    file["time"][index] = np.nan
-        return
+) -> list[float]:
+    """Make room for what is wanted beside every snapshot that is there; the times of all, in rising order.
+
+    What the run was computing when it ended it computes again: a snapshot that was taken after the checkpoint is
+    written once more when the run comes to its time. Until then the old one stays.
+    """
     new = path.with_name(path.name + ".new")
-    _create(new, layout, coordinates, _times(job), root)
-    with _open(path, "r") as old, _open(new, "r+") as file:
-        for index, place in kept.items():
-            for name in (name for name in layout if name in old):
-                file[name][index] = old[name][place]
-            file["time"][index] = stored[place]
-    with new.open("rb") as descriptor:
-        os.fsync(descriptor.fileno())
-    new.replace(path)
+    for left in (new, new.with_name(new.name + ".part"), path.with_name(path.name + ".part")):
+        left.unlink(missing_ok=True)  # of a restart that was killed
+    with _open(path, "r") as old:
+        stored = old["time"][()].tolist()
+        kept = {t: row for row, t in enumerate(stored) if np.isfinite(t)}
+        rows = sorted({*kept, *wanted})
+        fits = all(name in old and old[name].shape == (len(rows), *entry.shape) for name, entry in layout.items())
+        if fits and all(rows[row] == t for t, row in kept.items()):
+            return rows
+        whole = {**_stored_layout(old), **layout}
+        try:
+            _create(new, whole, {**_stored_coordinates(old), **coordinates}, len(rows), root)
+            with _open(new, "r+") as file:
+                for t, row in kept.items():
+                    for name in (name for name in whole if name in old):
+                        file[name][rows.index(t)] = old[name][row]
+                    file["time"][rows.index(t)] = t
+            with new.open("rb") as descriptor:
+                os.fsync(descriptor.fileno())
+            new.replace(path)
+        except BaseException:
+            new.unlink(missing_ok=True)
+            raise
+    return rows
+
+
+def _stored_layout(file: Any) -> dict[str, Layout]:
+    """The datasets of a file that have an entry for each snapshot, such as marginals that are no longer asked for."""
+    found = {}
+    for name, dataset in _datasets(file):
+        axes = tuple(str(dataset.attrs["axes"]).split())
+        if axes[0] == "time" and name != "time":
+            found[name] = Layout(dataset.shape[1:], axes[1:], dataset.attrs["long_name"], dataset.attrs["units"])
+    return found
+
+
+def _stored_coordinates(file: Any) -> dict[str, np.ndarray]:
+    return {name: data[()] for name, data in _datasets(file) if str(data.attrs["axes"]).split()[0] != "time"}
 
 
 def open_run(directory: str | Path) -> xarray.Dataset:
@@ -601,33 +632,104 @@ def read_history(directory: str | Path) -> dict[str, np.ndarray]:
     return dict(zip(rows[0], table.T, strict=True))
 
 
-def write_xdmf(path: str | Path, job: Job, times: Sequence[float]):
-    """Describe `fields.h5`, beside it, to ParaView and VisIt: XDMF version 2, cell data, rectangular mesh.
+class Xdmf:
+    """`fields.xdmf`: describes `fields.h5`, beside it, to ParaView and VisIt. For rank 0.
 
-    One row of cells stands for one space dimension, one cell for none. With three velocity dimensions
-    velocity and heat flux are vectors and the stress is a tensor; with fewer, their components are scalars.
-    Marginals and walls are not described.
+    XDMF version 2, cell data, rectangular mesh. One row of cells stands for one space dimension, one cell for none.
+    With three velocity dimensions velocity and heat flux are vectors and the stress is a tensor; with fewer, their
+    components are scalars. Marginals and walls are not described.
+
+    A new snapshot is written over the file's last lines, which follow it again: what it costs does not grow with the
+    number of those before.
 
     Parameters
     ----------
-    path : the XDMF file, replaced in one step
-    times : times of the snapshots in the order of the file, NaN for those that are not there
+    path : the file
+    job : Job
+    stored : times of the snapshots in the order of `fields.h5`, NaN for those that are not there; if there are any,
+        the file is written
     """
-    nx, ny = (*job.space.cells, 1, 1)[:2]
-    lower = (*_lower(job), 0.0, 0.0)[:2]
-    spacing = (*job.space.spacing, 1.0, 1.0)[:2]
-    if job.space.dimensions == 1:
-        spacing = (spacing[0], spacing[0])
 
-    number: dict[str, Any] = {"NumberType": "Float", "Precision": "8"}
-    root = ET.Element("Xdmf", Version="2.2")
-    domain = ET.SubElement(root, "Domain")
-    series = ET.SubElement(domain, "Grid", Name="rvm_mpi", GridType="Collection", CollectionType="Temporal")
-    for index, time in enumerate(times):
-        if not np.isfinite(time):
-            continue
-        grid = ET.SubElement(series, "Grid", Name=f"snapshot {index}", GridType="Uniform")
-        ET.SubElement(grid, "Time", Value=repr(float(time)))
+    HEAD = (
+        "<?xml version='1.0' encoding='utf-8'?>\n"
+        '<Xdmf Version="2.2">\n  <Domain>\n'
+        '    <Grid Name="rvm_mpi" GridType="Collection" CollectionType="Temporal">\n'
+    )
+    TAIL = "    </Grid>\n  </Domain>\n</Xdmf>\n"
+
+    def __init__(self, path: str | Path, job: Job, stored: Sequence[float] | np.ndarray) -> None:
+        self._path, self._job = Path(path), job
+        self._times = [float(time) for time in stored]
+        self._size = -1
+        if np.isfinite(self._times).any():
+            self._write()
+
+    def add(self, index: int, time: float) -> None:
+        """Describe one more snapshot.
+
+        Parameters
+        ----------
+        index : its place in `fields.h5`
+        time : its time
+
+        Raises
+        ------
+        OSError : it cannot be written; the file is then as it was.
+        """
+        if self._times[index] == time:
+            return
+        last = not np.isfinite(self._times[index:]).any()
+        self._times[index] = time
+        if last and self._size == self._size_there():
+            self._append(index)
+        else:
+            self._write()
+
+    def _size_there(self) -> int:
+        try:
+            return self._path.stat().st_size
+        except FileNotFoundError:
+            return -2
+
+    def _write(self) -> None:
+        """The whole file, replaced in one step."""
+        part = self._path.with_name(self._path.name + ".part")
+        with _named(self._path):
+            with part.open("w", encoding="utf-8") as file:
+                file.write(self.HEAD)
+                file.writelines(self._grid(index) for index, time in enumerate(self._times) if np.isfinite(time))
+                file.write(self.TAIL)
+            part.replace(self._path)
+        self._size = self._size_there()
+
+    def _append(self, index: int) -> None:
+        begin = self._size - len(self.TAIL)
+        text = (self._grid(index) + self.TAIL).encode()
+        with _named(self._path), self._path.open("r+b", buffering=0) as file:
+            try:
+                file.seek(begin)
+                while text:
+                    text = text[file.write(text) :]
+                self._size = file.tell()
+            except OSError:
+                with contextlib.suppress(OSError):
+                    file.seek(begin)
+                    file.write(self.TAIL.encode())
+                    file.truncate(self._size)
+                self._times[index] = float("nan")
+                raise
+
+    def _grid(self, index: int) -> str:
+        """The lines on one snapshot."""
+        job = self._job
+        nx, ny = (*job.space.cells, 1, 1)[:2]
+        lower = (*_lower(job), 0.0, 0.0)[:2]
+        spacing = (*job.space.spacing, 1.0, 1.0)[:2]
+        if job.space.dimensions == 1:
+            spacing = (spacing[0], spacing[0])
+        number: dict[str, Any] = {"NumberType": "Float", "Precision": "8"}
+        grid = ET.Element("Grid", Name=f"snapshot {index}", GridType="Uniform")
+        ET.SubElement(grid, "Time", Value=repr(self._times[index]))
         # not 2DCoRectMesh: VTK's reader takes its axes for y and z
         ET.SubElement(grid, "Topology", TopologyType="2DRectMesh", Dimensions=f"{ny + 1} {nx + 1}")
         geometry = ET.SubElement(grid, "Geometry", GeometryType="VXVY")
@@ -636,12 +738,9 @@ def write_xdmf(path: str | Path, job: Job, times: Sequence[float]):
             item.text = " ".join(repr(first + i * h) for i in range(n + 1))
         for name, layout in field_layout(job).items():
             if name != "marginal/x":
-                _xdmf_field(grid, name, layout, (_times(job), index), (ny, nx), job.space.dimensions)
-    ET.indent(root)
-    part = Path(path).with_name(Path(path).name + ".part")
-    with _named(path):
-        ET.ElementTree(root).write(part, encoding="utf-8", xml_declaration=True)
-        part.replace(path)
+                _xdmf_field(grid, name, layout, (len(self._times), index), (ny, nx), job.space.dimensions)
+        ET.indent(grid, level=3)
+        return f"      {ET.tostring(grid, encoding='unicode')}\n"
 
 
 def _xdmf_field(

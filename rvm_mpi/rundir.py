@@ -16,6 +16,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from rvm_mpi import runlock
 from rvm_mpi.job_text import JobError
 from rvm_mpi.terminal import tell
 
@@ -28,6 +29,8 @@ ENDED = "ended: "
 """Beginning of the last line of `run.log`, which says how a run has ended; a killed one has none."""
 MAY_CHANGE = {"title", "time", "output", "watch"}
 """Tables that a restarted job may have changed: how far a run goes, what it stores and what it watches."""
+PLACES = {"initial.run"}
+"""Keys that say where something lay when a run started: once it has, they mean nothing."""
 
 
 def holds_run(path: Path) -> bool:
@@ -46,9 +49,18 @@ def check(path: Path, restart: bool = False, overwrite: bool = False) -> None:
     Raises
     ------
     JobError
-        If it holds a run and neither `restart` nor `overwrite` is set, if there is nothing to restart from,
-        or if it cannot be a directory that this user may write to.
+        If another run is writing into it, if it holds a run and neither `restart` nor `overwrite` is set, if there is
+        nothing to restart from, or if it cannot be a directory that this user may write to.
     """
+    try:
+        runlock.refuse_live(path)
+    except OSError as error:
+        raise JobError(f"{path}: cannot be used: {error.strerror or error}") from None
+    _check(path, restart, overwrite)
+
+
+def _check(path: Path, restart: bool, overwrite: bool) -> None:
+    """The same for the run that holds the directory."""
     if restart and overwrite:
         raise JobError("--restart and --overwrite exclude each other")
     try:
@@ -100,7 +112,7 @@ def check_restart(path: Path, job: Job) -> None:
 def differing_keys(before: Job, now: Job) -> list[str]:
     """What a restart may not change and `now` has otherwise: "space.cells is [16], was [8]" for each such key."""
     old, new = (_flat(job.model_dump(mode="json", exclude=MAY_CHANGE)) for job in (before, now))
-    keys = dict.fromkeys([*old, *new])
+    keys = [key for key in dict.fromkeys([*old, *new]) if key not in PLACES]
     return [
         f"{key} is {_shown(new.get(key))}, was {_shown(old.get(key))}" for key in keys if old.get(key) != new.get(key)
     ]
@@ -117,11 +129,21 @@ def _shown(value: Any) -> str:
     return "not given" if value is None else json.dumps(value)
 
 
-def prepare(path: Path, job: Job, restart: bool = False, overwrite: bool = False) -> Path | None:
+def prepare(
+    path: Path, job: Job, restart: bool = False, overwrite: bool = False, lock: runlock.Lock | None = None
+) -> Path | None:
     """Make the directory ready for a run and write `job.toml`; for rank 0 alone.
 
     An old run is moved, whole, to `NAME-old-1` (or the next free number), never deleted; with `restart` an
     older `job.toml` that differs is kept as `job-1.toml` (or the next free number).
+
+    Parameters
+    ----------
+    path : Path
+    job : Job
+    restart, overwrite : bool
+    lock : Lock, optional
+        Of the directory; where the old run is moved it stays with the new one.
 
     Returns
     -------
@@ -133,7 +155,7 @@ def prepare(path: Path, job: Job, restart: bool = False, overwrite: bool = False
     JobError
         As `check` and `check_restart`, or if the disk refuses.
     """
-    check(path, restart, overwrite)
+    _check(path, restart, overwrite)
     path, aside = path.resolve(), None  # a link to another disk stays one, and "." stays this place
     try:
         if restart:
@@ -143,6 +165,12 @@ def prepare(path: Path, job: Job, restart: bool = False, overwrite: bool = False
         elif overwrite and path.exists() and holds_run(path):
             aside = _free(path.with_name(f"{path.name}-old"))
             path.rename(aside)
+            path.mkdir(exist_ok=True)
+            if lock is not None:
+                try:
+                    lock.follow(aside)
+                except JobError as error:
+                    raise JobError(f"{error}; the run that was there is now in {aside}") from None
         path.mkdir(parents=True, exist_ok=True)
         part = path / "job.toml.part"
         part.write_text(job.to_toml(), encoding="utf-8")

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from rvm_mpi import rundir
+from rvm_mpi import rundir, runlock
 from rvm_mpi.job import Job, JobError
 from rvm_mpi.job_text import one_line
 from rvm_mpi.progress import duration
@@ -38,6 +38,7 @@ def describe_run(path: Path) -> Iterator[str]:
     except JobError as error:
         yield _row("job", str(error))
     yield _row("state", _state(path))
+    yield from _lock_lines(path)
     yield from _history_lines(path, job)
     yield from _field_lines(path)
     names = [p.name for p in rundir.checkpoints(path)]
@@ -76,6 +77,23 @@ def _silence(path: Path, started: str) -> tuple[float, float]:
         begin = datetime.fromisoformat(started).timestamp()
         rows = max((path / "history.csv").read_bytes().count(b"\n"), 1)
     return clock.time() - last, QUIET + PACE * max(last - begin, 0.0) / rows
+
+
+def _lock_lines(path: Path) -> Iterator[str]:
+    """Whether a run is writing into the directory now."""
+    try:
+        owner = runlock.read(path / runlock.FILE)
+    except OSError:
+        return
+    if owner is None:
+        return
+    alive = owner.runs_here()
+    if alive is None:
+        yield _row("lock", f"held by {owner.named()}; whether it is still there cannot be seen from here")
+    elif alive:
+        yield _row("running", f"now: {owner.named()}")
+    else:
+        yield _row("lock", f"left by {owner.named()}, which was killed; the next run takes the directory over")
 
 
 def _job(job: Job) -> str:

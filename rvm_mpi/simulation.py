@@ -9,6 +9,7 @@ is one time step each; `run_job` is the same loop with a run directory around it
 
 from __future__ import annotations
 
+import bisect
 import math
 import os
 import sys
@@ -27,11 +28,13 @@ from rvm_mpi.control import Control
 from rvm_mpi.domain import Domain
 from rvm_mpi.estimates import COLLAPSED, check_sides, stretched_time
 from rvm_mpi.exact_sum import exact_sums
+from rvm_mpi.failures import on_rank_0
 from rvm_mpi.fluid import FluidSystem
 from rvm_mpi.fluid.euler import PositivityLost
 from rvm_mpi.job import Job, JobError
 from rvm_mpi.launch import LaunchError, again, launched
-from rvm_mpi.results import DiskFailure
+from rvm_mpi.results import DirectoryLost, DiskFailure
+from rvm_mpi.runlock import Claim
 from rvm_mpi.states import macroscopic_state
 from rvm_mpi.stepping import KineticStepper, NumericalFailure, StepReport
 from rvm_mpi.terminal import tell
@@ -221,7 +224,8 @@ class Simulation:
 
     def _fit_to_stops(self, dt: float) -> tuple[float, float | None]:
         """Shorten a step so that output times are hit exactly; two equal steps rather than a last tiny one."""
-        stop = next((t for t in self.stops if t > self.time), self.job.time.end)
+        coming = bisect.bisect_right(self.stops, self.time)
+        stop = self.stops[coming] if coming < len(self.stops) else self.job.time.end
         left = stop - self.time
         if dt >= left * (1.0 - 1e-9):
             return left, stop
@@ -346,6 +350,12 @@ class Diagnostics:
     def columns(self) -> list[str]:
         """Names of the columns of `history.csv`."""
         return list(self.row)
+
+    @property
+    def first_rate(self) -> float:
+        """Mean density times the square root of the mean temperature at the start."""
+        volume = math.prod(self._sim.domain.cells) * self._sim.volume
+        return self._first["mass"] / volume * math.sqrt(self._first["mean_temperature"])
 
     def numbers(self) -> dict[str, Any]:
         """What has accumulated, and what it is compared with: for a checkpoint."""
@@ -495,21 +505,36 @@ def run_job(
     """
     rundir.check(output, restart, overwrite)
     _check_same_on_all_ranks(job, output, restart, overwrite)
+    if Path.cwd().is_relative_to(output.resolve()):
+        output = output.resolve()  # "." goes with a directory that is moved aside
     if not quiet and launched().rank == 0 and not _compiled_before():
         tell("compiling the kernels, kept for the next run: some seconds")
     with Control(output, walltime, job.output.checkpoint_every) as control:
-        simulation, lines = _resumed(job, output) if restart else (Simulation(job), [])
-        try:
-            opened = Run(simulation, output, restart, overwrite, quiet)
-        except DiskFailure as error:  # on every rank
-            if simulation.domain.rank == 0:
-                tell(f"rvm: {job.name}: {error}")
-                rundir.Log.note_end(output, f"failed: {error}")
-            return 3
-        with opened as run:
-            for line in lines:
-                run.say(line)
-            return run.go(control)
+        from mpi4py import MPI
+
+        with Claim(output, MPI.COMM_WORLD) as claim:
+            try:
+                return _run_claimed(job, claim, control, restart, overwrite, quiet)
+            except JobError:
+                raise
+            except Exception as error:
+                claim.note(error)
+                raise
+
+
+def _run_claimed(job: Job, claim: Claim, control: Control, restart: bool, overwrite: bool, quiet: bool) -> int:
+    simulation, lines = _resumed(job, claim.directory) if restart else (Simulation(job), [])
+    try:
+        opened = Run(simulation, claim, restart, overwrite, quiet)
+    except DiskFailure as error:  # on every rank
+        if simulation.domain.rank == 0:
+            tell(f"rvm: {job.name}: {error}")
+            rundir.Log.note_end(claim.directory, f"failed: {error}")
+        return 3
+    with opened as run:
+        for line in lines:
+            run.say(line)
+        return run.go(control)
 
 
 def _check_same_on_all_ranks(job: Job, output: Path, restart: bool, overwrite: bool) -> None:
@@ -542,11 +567,12 @@ def _resumed(job: Job, output: Path) -> tuple[Simulation, list[str]]:
 class Run:
     """A simulation with its run directory: snapshots, history, checkpoints, log."""
 
-    def __init__(self, simulation: Simulation, output: Path, restart: bool, overwrite: bool, quiet: bool) -> None:
-        from rvm_mpi.results import FieldsFile, History
+    def __init__(self, simulation: Simulation, claim: Claim, restart: bool, overwrite: bool, quiet: bool) -> None:
+        from rvm_mpi.results import FieldsFile, History, Xdmf
 
         self.simulation = sim = simulation
-        self.output, self.comm = output, sim.domain.comm
+        self.claim, self.comm = claim, sim.domain.comm
+        self.output = output = claim.directory
         self.head = self.comm.rank == 0
         self.quiet = quiet
         self.log: rundir.Log | None = None
@@ -555,12 +581,12 @@ class Run:
         self.saved: int | None = sim.number if restart else None
         job = sim.job
         if restart:
-            self._on_rank_0(self._check_restart)
-        aside = self._on_rank_0(lambda: rundir.prepare(output, job, restart, overwrite))
+            on_rank_0(self.comm, self._check_restart)
+        aside = on_rank_0(self.comm, lambda: rundir.prepare(output, job, restart, overwrite, claim.lock))
         self.watch = Watch(job)
         self.grid_watch = GridWatch(job)
         self.facts = facts = rundir.provenance(self.comm.size)
-        self._on_rank_0(lambda: self._open_log(facts, aside))
+        on_rank_0(self.comm, lambda: self._open_log(facts, aside))
         self.fields = FieldsFile(
             output / "fields.h5",
             self.comm,
@@ -569,12 +595,11 @@ class Run:
             facts,
             self._wall_layout(),
             sim.kinetic.marginal_nodes,
-            resume_after=sim.time if restart else None,
+            resume=restart,
         )
-        #: times of the snapshots that exist, NaN for the others
-        self._times = [t if restart and t <= sim.time else math.nan for t in job.output.times]
+        self.xdmf = on_rank_0(self.comm, lambda: Xdmf(output / "fields.xdmf", job, self.fields.stored))
         columns, done = sim.diagnostics.columns, sim.number if restart else None
-        self.history = self._on_rank_0(lambda: History(output / "history.csv", columns, done))
+        self.history = on_rank_0(self.comm, lambda: History(output / "history.csv", columns, done))
         if restart:
             self.say(f"restart from step {sim.number}, t = {sim.time:.6g}")
 
@@ -603,22 +628,6 @@ class Run:
         for file in (self.history, self.log):
             if file is not None:
                 file.close()
-
-    def _on_rank_0(self, action: Callable[[], Any]) -> Any:
-        """Do something on rank 0; if it cannot, every rank raises the same error."""
-        result: Any = None
-        error: JobError | DiskFailure | None = None
-        if self.head:
-            try:
-                result = action()
-            except JobError as caught:
-                error = caught
-            except OSError as caught:
-                error = DiskFailure(str(caught))
-        error = self.comm.bcast(error)
-        if error is not None:
-            raise error
-        return result
 
     def _open_log(self, facts: dict[str, str], aside: Path | None) -> None:
         self.log = rundir.Log(self.output / "run.log")
@@ -666,14 +675,15 @@ class Run:
             stream = None if self.quiet else sys.stderr
             progress = Progress(
                 sim.job, stream, self.log, self.comm.size, start_time=sim.time, start_step=sim.number,
-                stretched=stretched_time(sim.job),
+                stretched=stretched_time(sim.job, sim.diagnostics.first_rate),
             )  # fmt: skip
         stopped = ""
         try:
             if self.saved is None:
                 self.record()
                 self.warn()
-            self.take_snapshot()
+            if sim.time not in self.fields.stored:  # else it was taken of this very state
+                self.take_snapshot()
             control.start(8.0 * math.prod(sim.domain.cells) * sim.kinetic.grid.block)
             for step in sim:
                 self.record()
@@ -700,6 +710,8 @@ class Run:
                     self.save()
         except NumericalFailure as error:
             return self._failed(f"{error}{self._last_healthy()}{self.examine(error)}")
+        except DirectoryLost as error:
+            return self._failed(f"{error}; step {sim.number}, t = {sim.time:.6g}")
         except DiskFailure as error:
             return self._failed(f"{error}{self._last_checkpoint()}")
         if progress is not None:
@@ -708,7 +720,8 @@ class Run:
             self._note_end(f"done: step {sim.number}, t = {sim.time:.6g}")
             return 0
         if self.head:
-            control.forget_stop_file()
+            if self.claim.held():
+                control.forget_stop_file()
             command = ["run", os.fspath(self.output / "job.toml"), "--output", os.fspath(self.output), "--restart"]
             said = (
                 f"stopped by {stopped} after step {sim.number} at t = {sim.time:.6g}, with a checkpoint; "
@@ -740,6 +753,8 @@ class Run:
         found = postmortem.examine(self.simulation, failure)
         if not self.head:
             return ""
+        if not self.claim.held():
+            return "; no post-mortem is written: the directory is no longer this run's"
         more = {"versions": self.facts, "checkpoint_step": self.saved, "history": self._last_rows()}
         try:
             return f"; more in {postmortem.write(self.output, found, more)}"
@@ -777,6 +792,7 @@ class Run:
 
     def save(self) -> None:
         """Write a checkpoint, once all that was written before it is on disk."""
+        self.claim.check()
         sim = self.simulation
         files = [self.output / "fields.h5", *([self.output / "history.csv"] if self.head else [])]
         with checkpoint.agreed(sim.domain, self.output):
@@ -801,24 +817,25 @@ class Run:
             raise DiskFailure(self.comm.bcast(failed))
 
     def take_snapshot(self) -> None:
-        """Write a snapshot if the present time is one of the job's."""
-        times = list(self.simulation.job.output.times)
-        if self.simulation.time in times:
-            self._write_snapshot(times.index(self.simulation.time))
+        """Write a snapshot if the present time is one of those wanted."""
+        row = self._row(self.simulation.time)
+        if row is not None:
+            self._write_snapshot(row)
+
+    def _row(self, time: float) -> int | None:
+        """The place in `fields.h5` for a time; None if it has none."""
+        row = bisect.bisect_left(self.fields.rows, time)
+        return row if self.fields.rows[row : row + 1] == [time] else None
 
     def take_last_snapshot(self) -> None:
-        """Where `max_steps` ends the run between two output times, write the end in the place of the next.
-
-        A restart that goes on drops it: its time is not one of the job's.
-        """
-        sim, times = self.simulation, list(self.simulation.job.output.times)
-        later = [index for index, t in enumerate(times) if t > sim.time]
-        if later and sim.time not in times:
-            self._write_snapshot(later[0])
+        """Where `max_steps` ends the run between two output times, write the end in the place of the next."""
+        sim, fields = self.simulation, self.fields
+        row = bisect.bisect_right(fields.rows, sim.time)
+        if self._row(sim.time) is None and row < len(fields.rows) and math.isnan(fields.stored[row]):
+            self._write_snapshot(row)
 
     def _write_snapshot(self, index: int) -> None:
-        from rvm_mpi.results import write_xdmf
-
+        self.claim.check()
         sim = self.simulation
         i0, j0 = sim.domain.start
         nx, ny = sim.domain.local
@@ -827,5 +844,8 @@ class Run:
             first, count = (j0, ny) if "/x-" in name else (i0, nx)
             extra[name] = ((slice(first, first + count),), values)
         self.fields.write(index, sim.time, sim.snapshot(), extra)
-        self._times[index] = sim.time
-        self._on_rank_0(lambda: write_xdmf(self.output / "fields.xdmf", sim.job, self._times))
+        on_rank_0(self.comm, lambda: self._describe(index))
+
+    def _describe(self, index: int) -> None:
+        if self.xdmf is not None:
+            self.xdmf.add(index, self.simulation.time)

@@ -298,7 +298,8 @@ def test_an_exception_on_one_rank_ends_all(mpirun, place, failing):
         "        raise FloatingPointError('pressure lost in\\n cell (3, 4)')\n"
         "    MPI.COMM_WORLD.Barrier()\n"
         "except Exception as error:\n"
-        "    sys.exit(failures.fail(error, Path('run.log')))\n"
+        "    failures.write_traceback(error, Path('run.log'))\n"
+        "    sys.exit(failures.fail(error))\n"
     )
     done = mpirun(2, program, cwd=place, env={"PYTHONPATH": str(ROOT)}, timeout=30)
     assert done.returncode == 3, done

@@ -10,6 +10,7 @@ package itself knows of faults. Actions:
     fill        the disk that the run directory lies on is filled to its last byte, really
     device      the history goes to /dev/full
     kill        kill -9 of this rank; SIGTERM, SIGINT, SIGUSR1: that signal to this rank
+    hold        the rank waits until there is a file `go` beside the run directory
     remove      the run directory is removed, by whoever comes first
     0.05        so many seconds pass
 """
@@ -37,7 +38,7 @@ POINTS = {
     "snapshot": (simulation.Simulation, "snapshot"),
     "fields": (results.FieldsFile, "_write_blocks"),
     "time": (results.FieldsFile, "_write_time"),
-    "xdmf": (results, "write_xdmf"),
+    "xdmf": (results.Xdmf, "add"),
     "checkpoint": (checkpoint, "write"),
     "create": (checkpoint, "_create"),
     "blocks": (checkpoint, "_write_blocks"),
@@ -72,6 +73,9 @@ def do(action, arguments, itself):
     if action == "full":
         signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
         resource.setrlimit(resource.RLIMIT_FSIZE, (1000, resource.getrlimit(resource.RLIMIT_FSIZE)[1]))
+    elif action == "hold":
+        while not (directory.parent / "go").exists():
+            time.sleep(0.02)
     elif action == "remove":
         shutil.rmtree(directory, ignore_errors=True)
     elif action == "fill":

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import shutil
 from pathlib import Path
 
@@ -9,10 +10,11 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
-from rvm_mpi import checkpoint, rundir
+from rvm_mpi import checkpoint, results, rundir
 from rvm_mpi.checkpoint import Checkpoint, DamagedCheckpoint, use_newest
+from rvm_mpi.compare import compare_paths
 from rvm_mpi.job import Job, JobError
-from rvm_mpi.results import DiskFailure
+from rvm_mpi.results import DiskFailure, open_run
 from rvm_mpi.simulation import Simulation, run_job
 
 
@@ -269,51 +271,156 @@ def times(directory):
         return [t if np.isfinite(t) else None for t in file["time"][()].tolist()]
 
 
-def test_a_snapshot_written_because_the_run_stopped_is_dropped_when_it_goes_on(tmp_path):
+def there(directory):
+    """Times of the snapshots that exist."""
+    return [t for t in times(directory) if t is not None]
+
+
+def density_at(directory, time):
+    return open_run(directory).kinetic_density.sel(time=time).values
+
+
+def test_a_snapshot_written_because_the_run_stopped_stays_when_it_goes_on(tmp_path):
+    directory = tmp_path / "run"
     job = make_job(output={"times": [0.0, 0.9, 1.0]})
-    assert run_job(job, tmp_path / "run", quiet=True) == 0
-    stored = times(tmp_path / "run")
+    assert run_job(job, directory, quiet=True) == 0
+    stored = times(directory)
     assert stored[0] == 0.0
     assert 0.0 < stored[1] < 0.9
-    assert stored[1] == float(rows(tmp_path / "run")[-1].split(",")[1])
-    assert repr(stored[1])[:12] in (tmp_path / "run" / "fields.xdmf").read_text()
-    # going nowhere keeps it
-    assert run_job(job, tmp_path / "run", restart=True, quiet=True) == 0
-    assert times(tmp_path / "run") == stored
+    assert stored[1] == float(rows(directory)[-1].split(",")[1])
+    assert repr(stored[1])[:12] in (directory / "fields.xdmf").read_text()
+    first = density_at(directory, stored[1])
+    # going nowhere changes nothing
+    assert run_job(job, directory, restart=True, quiet=True) == 0
+    assert there(directory) == stored[:2]
     longer = make_job(output={"times": [0.0, 0.9, 1.0]}, time={"end": 1.0, "max_steps": 6})
-    assert run_job(longer, tmp_path / "run", restart=True, quiet=True) == 0
-    assert times(tmp_path / "run")[1] > stored[1]
-    assert [line.split(",")[0] for line in rows(tmp_path / "run")[1:]] == [str(n) for n in range(7)]
+    assert run_job(longer, directory, restart=True, quiet=True) == 0
+    assert there(directory)[:2] == stored[:2]
+    assert there(directory)[2] > stored[1]
+    assert times(directory)[3:] == [None]
+    assert np.array_equal(density_at(directory, stored[1]), first)
+    assert [line.split(",")[0] for line in rows(directory)[1:]] == [str(n) for n in range(7)]
+    # beside an undisturbed run it is said, and no difference
+    whole = tmp_path / "whole"
+    assert run_job(longer, whole, quiet=True) == 0
+    same, lines = compare_paths(whole, directory)
+    assert same
+    assert lines[0].startswith("fields.h5: snapshot 1 (t = ")
+    assert lines[0].endswith("is in the second only, left where that run once stopped")
 
 
-def test_later_output_times_may_change_earlier_ones_not(tmp_path):
+def test_a_run_that_is_extended_keeps_its_old_end_and_what_is_no_longer_asked_for(tmp_path):
+    directory = tmp_path / "run"
+    steps = {"max_steps": 1000}
+    first = make_job(time={"end": 0.02, **steps}, output={"times": [0.01, 0.02], "marginals": True})
+    assert run_job(first, directory, quiet=True) == 0
+    before = open_run(directory)
+    longer = make_job(time={"end": 0.04, **steps}, output={"times": [0.03, 0.04]})
+    assert run_job(longer, directory, restart=True, quiet=True) == 0
+    assert times(directory) == [0.01, 0.02, 0.03, 0.04]
+    described = re.findall('Time Value="(.*?)"', (directory / "fields.xdmf").read_text())
+    assert there(directory) == [float(t) for t in described]
+    now = open_run(directory)
+    for name in before.data_vars:
+        assert np.array_equal(before[name].values, now[name].values[:2], equal_nan=True), name
+    assert np.isnan(now.marginal_x.values[2:]).all()
+    # with the default for the times, twice
+    for end in (0.05, 0.06):
+        assert run_job(make_job(time={"end": end, **steps}), directory, restart=True, quiet=True) == 0
+    assert times(directory) == [0.01, 0.02, 0.03, 0.04, 0.05, 0.06]
+
+
+def test_a_snapshot_later_than_the_checkpoint_stays_until_it_is_taken_anew(tmp_path):
+    """The run was killed after a snapshot, its last checkpoint was before; then another job's times go on."""
+    directory = tmp_path / "run"
+
+    def job(steps, *wanted):
+        return make_job(output={"times": [0.0, *wanted, 1.0]}, time={"end": 1.0, "max_steps": steps})
+
+    assert run_job(job(3, 0.5), directory, quiet=True) == 0
+    end = there(directory)[-1]
+    saved = min(directory.glob("checkpoint-*"))
+    assert run_job(job(6, 0.5), directory, restart=True, quiet=True) == 0
+    later = there(directory)[-1]
+    kept = density_at(directory, later)
+    for path in directory.glob("checkpoint-*"):
+        if path != saved:
+            path.unlink()
+    assert run_job(job(3), directory, restart=True, quiet=True) == 0
+    assert there(directory) == [0.0, end, later]
+    assert np.array_equal(density_at(directory, later), kept)
+    assert run_job(job(5), directory, restart=True, quiet=True) == 0
+    assert there(directory)[:2] == [0.0, end]
+    assert there(directory)[-1] == later
+    assert run_job(job(1000), directory, restart=True, quiet=True) == 0
+    assert there(directory)[-2:] == [later, 1.0]
+
+
+@pytest.mark.parametrize("fault", ["no room", "a row that cannot be copied"])
+def test_no_snapshot_is_lost_where_the_disk_has_no_room_for_more(tmp_path, monkeypatch, fault):
+    directory = tmp_path / "run"
+    job = make_job(output={"times": [0.0, 0.9]})
+    assert run_job(job, directory, quiet=True) == 0
+    before = (directory / "fields.h5").read_bytes()
+
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    owner, name = (results, "check_room") if fault == "no room" else (os, "fsync")
+    with monkeypatch.context() as patch:
+        patch.setattr(owner, name, full if fault == "no room" else fails_on_fields(full))
+        more = make_job(output={"times": [0.0, 0.8, 0.9]})
+        assert run_job(more, directory, restart=True, quiet=True) == 3
+    assert (directory / "fields.h5").read_bytes() == before
+    assert not [p.name for p in directory.iterdir() if ".new" in p.name or ".part" in p.name]
+    (directory / "fields.h5.new").write_text("left by a restart that was killed")
+    assert run_job(more, directory, restart=True, quiet=True) == 0
+    assert times(directory)[0] == 0.0
+    assert len(times(directory)) == 4
+    assert not (directory / "fields.h5.new").exists()
+
+
+def fails_on_fields(full):
+    """Flushing the copy to disk fails, and nothing else."""
+    real = os.fsync
+
+    def fsync(descriptor):
+        if Path(f"/proc/self/fd/{descriptor}").readlink().name == "fields.h5.new":
+            full()
+        real(descriptor)
+
+    return fsync
+
+
+def test_overwriting_the_directory_one_stands_in_leaves_the_old_run_whole(tmp_path, monkeypatch):
+    directory = tmp_path / "run"
+    assert run_job(make_job(), directory, quiet=True) == 0
+    before = {p.name: p.read_bytes() for p in directory.iterdir()}
+    monkeypatch.chdir(directory)
+    other = make_job(time={"end": 1.0, "max_steps": 2})
+    assert run_job(other, Path(), overwrite=True, quiet=True) == 0
+    assert {p.name: p.read_bytes() for p in (tmp_path / "run-old-1").iterdir()} == before
+    assert len(rows(directory)) == 4
+
+
+def test_times_may_be_added_but_not_behind_the_run(tmp_path):
     directory = tmp_path / "run"
     first = make_job(output={"times": [0.0, 0.005, 0.9]})
     run_job(first, directory, quiet=True)
     now = float(rows(directory)[-1].split(",")[1])
     assert now > 0.005
     before = {p.name: p.read_bytes() for p in directory.iterdir()}
-    refused = {
-        "t = 0.005 was stored": [0.0, 0.9],
-        "t = 0.007 was not stored": [0.0, 0.005, 0.007, 0.9],
-    }
-    for message, wanted in refused.items():
-        with pytest.raises(JobError, match=f"output.times: {message} before the checkpoint"):
-            run_job(make_job(output={"times": wanted}), directory, restart=True, quiet=True)
+    with pytest.raises(JobError, match=r"output.times: t = 0.007 was not stored before the checkpoint .*only later"):
+        wanted = {"times": [0.0, 0.005, 0.007, 0.9]}
+        run_job(make_job(output=wanted), directory, restart=True, quiet=True)
     with pytest.raises(JobError, match=r"time\.end = 0\.006 lies before the checkpoint"):
         run_job(make_job(time={"end": 0.006}, output={"times": [0.0, 0.005]}), directory, restart=True, quiet=True)
     assert {p.name: p.read_bytes() for p in directory.iterdir()} == before
-    import h5py
-
-    with h5py.File(directory / "fields.h5", "r") as file:
-        density = file["kinetic/density"][1]
-    # now: an output time at the checkpoint itself
-    run_job(make_job(output={"times": [0.0, 0.005, now, 0.8, 0.9]}), directory, restart=True, quiet=True)
-    assert times(directory) == [0.0, 0.005, now, None, None]
-    with h5py.File(directory / "fields.h5", "r") as file:
-        assert np.array_equal(file["kinetic/density"][1], density)
-        assert file["kinetic/density"].shape == (5, 6)
-        assert np.isfinite(file["wall/x-lower/pressure"][2]).all()
+    density = density_at(directory, 0.005)
+    run_job(make_job(output={"times": [0.0, 0.8, 0.9]}), directory, restart=True, quiet=True)
+    assert times(directory) == [0.0, 0.005, now, 0.8 if 0.8 in there(directory) else None, None]
+    assert np.array_equal(density_at(directory, 0.005), density)
+    assert np.isfinite(open_run(directory).wall_x_lower_pressure.values[2]).all()
 
 
 def test_results_that_do_not_lead_to_the_checkpoint_are_refused(tmp_path):

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
 
 from rvm_mpi import compare
-from rvm_mpi.compare import Columns, Quantity
+from rvm_mpi.compare import Columns, Found, Picked, Quantity, _pairs
 
 NUMBERS = st.one_of(
     st.sampled_from([0.0, -0.0, 1.0, math.nan, math.inf, -math.inf, 1e-320]), st.floats(allow_subnormal=True)
@@ -67,14 +67,17 @@ def test_everything_equals_itself(values):
     assert compare.compare(Quantity(axes, values), Quantity(axes, values.copy()), 1.0, 0.0) is None
 
 
-def test_what_is_missing_is_not_compared():
-    missing = np.array([False, True, False])
-    one = Quantity(("time", "x"), np.array([[1.0, 2.0], [3.0, 4.0], [5.0, 6.0]]), missing)
-    other = Quantity(("time", "x"), np.array([[1.0, 2.0], [9.0, 9.0], [5.0, 6.5]]), missing)
-    found = compare.compare(one, other, 6.5)
-    assert (found.first, found.values, found.worst) == ((2, 1), (6.0, 6.5), (2, 1))
-    assert found.relative == 0.5 / 6.5
+def test_snapshots_are_paired_by_their_times():
+    nan = np.nan
+    a, b = np.array([0.0, 0.1, nan, 0.3, 0.5]), np.array([0.0, 0.2, 0.3, nan, nan])
+    assert _pairs(a, b, 0.0) == ([(0, 0), (3, 2)], [(0, 1), (1, 1), (0, 4)])
+    assert _pairs(a, b + 1e-9, 0.0)[0] == []
+    assert _pairs(a, b + 1e-9, 1e-8)[0] == [(0, 0), (3, 2)]
+    one = Quantity(("time", "x"), Picked(np.array([[1.0, 2.0], [3.0, 4.0], [5.0, 6.0]]), (0, 2)))
+    other = Quantity(("time", "x"), Picked(np.array([[1.0, 2.0], [5.0, 6.5]]), (0, 1)))
+    assert one.shape == (2, 2)
     assert one.largest() == 6.0
+    assert compare.compare(one, other, 1.0) == Found((1, 1), (6.0, 6.5), 0.5, 0.5, (1, 1))
 
 
 def test_units_of_what_is_nought_but_for_rounding():

@@ -4,7 +4,9 @@
 
 import copy
 import math
+import os
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -198,7 +200,8 @@ def test_every_default_is_written_out():
     resolved = {"space.boundary", "space.lower", "time.cfl", "output.times", "collision.relaxation"}
     for path in ALLOWED:
         if len(path) == 2 and path[0] != "initial" and ".".join(path) not in {
-            "time.dt", "time.max_steps", "collision.exponent", "collision.method", "collision.penalise", "collision.coarse",
+            "time.dt", "time.max_steps", "output.every", "collision.exponent", "collision.method", "collision.penalise",
+            "collision.coarse",
         }:  # fmt: skip
             assert path[1] in written[path[0]], path
     for key in resolved:
@@ -318,6 +321,22 @@ REFUSED = [
     ({"output__times": [0, 1, 1]}, "output.times: not rising", ""),
     ({"output__times": [-1]}, "output.times: out of range", ""),
     ({"output__times": []}, "output.times: wrong number of entries", ""),
+    ({"output__times": 3}, "output.times: wrong type", "a list of rising numbers"),
+    ({"output__times": [1, "a"]}, "output.times: wrong type", 'value "a"'),
+    ({"output__times": {"to": 1}}, "output.times.from: must be given", ""),
+    ({"output__times": {"frm": 1, "to": 2, "count": 3}}, "output.times.frm: unknown key", 'did you mean "from"?'),
+    ({"output__times": {"from": 1, "to": 40, "count": 3}}, "output.times.to: after the end", "at most time.end = 30.0"),
+    ({"output__times": {"from": 2, "to": 1, "count": 3}}, "output.times.from: not below", "value 2.0"),
+    ({"output__times": {"from": 0, "to": 1, "count": 3, "spacing": "log"}}, "output.times.from: a logarithm has no 0", ""),
+    ({"output__times": {"from": 0, "to": 1, "count": 3, "spacing": "lin"}}, "output.times.spacing: unknown value", "linear"),
+    ({"output__times": {"from": 0, "to": 1, "count": 1}}, "output.times.count: out of range", "from 2"),
+    ({"output__times": {"from": 0, "to": 1, "count": 3.0}}, "output.times.count: wrong type", ""),
+    ({"output__times": {"from": 1, "to": 1.000000000001, "count": 9999}}, "output.times.count: too many", ""),
+    ({"output__every": 0}, "output.every: out of range", "instead of times"),
+    ({"output__every": "1 s"}, "output.every: wrong type", ""),
+    ({"output__every": 31}, "output.every: longer than the run", ""),
+    ({"output__every": 1e-9}, "output.every: more than 20000 snapshots", ""),
+    ({"output__every": 1, "output__times": [1]}, "output.every: output.times and output.every exclude each other", ""),
     ({"output__checkpoint_every": 600}, "output.checkpoint_every: wrong type", '"10 min"'),
     ({"output__checkpoint_every": "10 minutes"}, "output.checkpoint_every: not a duration", ""),
     ({"output__checkpoint_every": "0 s"}, "output.checkpoint_every: out of range", ""),
@@ -352,8 +371,6 @@ REFUSED = [
     ({"initial": {"state": "wave", "mode": [0.5, 0]}}, "initial.mode: does not fit the domain along x", "whole"),
     ({"initial": {"state": "wave", "mode": [33, 0]}}, "initial.mode: too short a wave", ""),
     ({"initial": {"state": "wave", "density_amplitude": -1}}, "initial.density_amplitude: density would not", ""),
-    ({"initial": {"state": "from-run", "run": "/no/such/place"}}, "initial.run: no such directory", ""),
-    ({"initial": {"state": "from-run", "run": "/"}}, "initial.run: holds no run", ""),
     ({"initial": {"state": "two-gaussians"}}, "does not fit the operator", '"boltzmann"'),
     ({"initial": {"state": "bkw"}}, "does not fit", '"boltzmann"'),
     ({"title": 3}, "title: wrong type", ""),
@@ -395,7 +412,61 @@ def test_durations(text, seconds):
     assert duration(text) == seconds
 
 
+@pytest.mark.parametrize(
+    ("end", "output", "times"),
+    [
+        (0.5, {"every": 0.1}, [0.0, 0.1, 0.2, 0.3, 0.4, 0.5]),
+        (1.0, {"every": 0.3}, [0.0, 0.3, 0.6, 0.9, 1.0]),
+        (1.0, {"every": 1 / 3}, [0.0, 1 / 3, 2 / 3, 1.0]),
+        (2e-3, {"every": 1e-3}, [0.0, 1e-3, 2e-3]),
+        (7.0, {"every": 7}, [0.0, 7.0]),
+        (100.0, {"times": {"from": 0.01, "to": 100, "count": 5, "spacing": "log"}}, [0.01, 0.1, 1.0, 10.0, 100.0]),
+        (3.0, {"times": {"from": 0, "to": 1, "count": 3, "spacing": "linear"}}, [0.0, 0.5, 1.0]),
+        (3.0, {"times": {"from": 1.0, "to": 3.0, "count": 2}}, [1.0, 3.0]),
+    ],
+)
+def test_output_times_in_few_words(end, output, times):
+    made = job(time__end=end, output=output)
+    assert list(made.output.times) == times
+    assert made.output.every is None
+    assert Job.from_dict(tomllib.loads(made.to_toml())) == made
+
+
+def test_a_film_of_as_many_frames_as_there_may_be_fits_into_a_job_file(tmp_path):
+    made = job(time__end=1.0, output={"every": 1 / 19_998.5})
+    assert len(made.output.times) == 20_000
+    (tmp_path / "job.toml").write_text(made.to_toml())
+    assert Job.from_file(tmp_path / "job.toml") == made
+
+
 # --- files and overrides
+
+
+def test_of_every_and_times_what_is_set_on_the_command_line_holds(file):
+    assert Job.from_file(file, ["output.every=15"]).output.times == (0.0, 15.0, 30.0)
+    file.write_text(job(output={"times": [3.0]}).to_toml())
+    assert Job.from_file(file, ["output.every=30.0"]).output.times == (0.0, 30.0)
+    file.write_text(file.read_text().replace("times = [3.0]", "every = 3.0"))
+    assert Job.from_file(file, ["output.times=[2.0]"]).output.times == (2.0,)
+    with pytest.raises(JobError, match="exclude each other"):
+        Job.from_file(file, ["output.times=[2.0]", "output.every=3"])
+
+
+def test_the_path_of_a_run_is_relative_to_the_job_file(tmp_path, monkeypatch):
+    """On the command line to where one stands."""
+    (tmp_path / "jobs").mkdir()
+    file = tmp_path / "jobs" / "next.toml"
+    text = job(initial={"state": "from-run", "run": "/base"}).to_toml()
+    file.write_text(text.replace('"/base"', '"runs/base"'))
+    for place in (tmp_path, tmp_path / "jobs", Path("/")):
+        monkeypatch.chdir(place)
+        for name in (file, os.path.relpath(file)):
+            assert Job.from_file(name).initial.run == str(tmp_path / "jobs" / "runs" / "base")
+        assert Job.from_file(file, ['initial.run="base"']).initial.run == str(place / "base")
+    file.write_text(text)
+    assert Job.from_file(file).initial.run == "/base"
+    file.write_text(text.replace('"/base"', '"~/base"'))
+    assert Job.from_file(file).initial.run == str(Path.home() / "base")
 
 
 @pytest.fixture

@@ -296,7 +296,9 @@ def test_xdmf_leads_to_the_right_numbers(tmp_path, cells, d):
     with make_file(tmp_path, job) as file:
         file.write(0, 0.0, random_fields(job, 0))
         file.write(2, 2.0, random_fields(job, 2))
-    results.write_xdmf(tmp_path / "fields.xdmf", job, [0.0, math.nan, 2.0])
+    description = results.Xdmf(tmp_path / "fields.xdmf", job, [math.nan] * 3)
+    description.add(0, 0.0)
+    description.add(2, 2.0)
     series = ET.parse(tmp_path / "fields.xdmf").getroot().find("Domain/Grid")
     grids = series.findall("Grid")
     assert [float(grid.find("Time").get("Value")) for grid in grids] == [0.0, 2.0]
@@ -325,6 +327,51 @@ def test_xdmf_leads_to_the_right_numbers(tmp_path, cells, d):
         assert (nodes[0][0], nodes[0][-1]) == pytest.approx((-1.0, 1.0))
     if len(cells) == 2:
         assert (nodes[1][0], nodes[1][-1]) == pytest.approx((2.0, 3.0))
+
+
+def test_xdmf_grows_by_what_is_new_and_is_whole_after_each_snapshot(tmp_path):
+    times = [0.1 * k for k in range(40)]
+    job, path = make_job(times=times), tmp_path / "fields.xdmf"
+    description = results.Xdmf(path, job, [math.nan] * 40)
+    assert not path.exists()
+    file = None
+    for index, time in enumerate(times):
+        description.add(index, time)
+        assert [float(e.get("Value")) for e in ET.parse(path).iter("Time")] == times[: index + 1]
+        file = file or path.stat().st_ino
+        assert path.stat().st_ino == file  # no new one
+    results.Xdmf(tmp_path / "whole", job, times)
+    assert path.read_bytes() == (tmp_path / "whole").read_bytes()
+    description.add(7, times[7])  # taken anew
+    assert path.read_bytes() == (tmp_path / "whole").read_bytes()
+    # a later one is there already, somebody has cut the file off, or it is gone
+    some = [*times[:20], math.nan, *times[21:]]
+    for harm in (lambda: None, lambda: os.truncate(path, 100), path.unlink):
+        description = results.Xdmf(path, job, some)
+        harm()
+        description.add(20, times[20])
+        assert path.read_bytes() == (tmp_path / "whole").read_bytes()
+
+
+def test_xdmf_is_as_before_where_the_disk_takes_no_more(tmp_path):
+    import resource
+    import signal
+
+    job, path = make_job(), tmp_path / "fields.xdmf"
+    description = results.Xdmf(path, job, [math.nan] * 3)
+    description.add(0, 0.0)
+    before = path.read_bytes()
+    limits, heed = resource.getrlimit(resource.RLIMIT_FSIZE), signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (len(before) + 100, limits[1]))
+    try:
+        with pytest.raises(OSError, match=r"fields\.xdmf cannot be written: File too large"):
+            description.add(1, 0.5)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+        signal.signal(signal.SIGXFSZ, heed)
+    assert path.read_bytes() == before
+    description.add(1, 0.5)
+    assert [float(e.get("Value")) for e in ET.parse(path).iter("Time")] == [0.0, 0.5]
 
 
 COLUMNS = ("step", "time", "mass", "min_g")
