@@ -250,7 +250,7 @@ def _fields_of_cells(job: Job, own: int, ghosted: int) -> float:
     d, everywhere = job.velocity.dimensions, prod(job.space.cells)
     state = 1 + d + d * d  # density, velocity, temperature tensor
     levels, diagnostics, rates = 3 * 16, 2 * 10, 5
-    snapshot = 2 + 2 * d + d * d
+    snapshot = 2 + 2 * d + 2 * d * d
     fluid = 5 * (d + 2) * ghosted + (d + 2) * own if job.fluid.enabled else 0
     # the progress line on rank 0 looks at the initial state of the whole grid
     looked_at = 3 * (1 + d) * everywhere + state * min(everywhere, ROWS_AT_ONCE)

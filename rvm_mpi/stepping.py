@@ -105,7 +105,7 @@ class StepReport:
     replaced : int
         Cells (of this rank, over both stages) whose Gaussian had to take the nearest tensor the grid can hold.
     box_mass, box_energy : float
-        The largest share of a cell's mass and energy in the outermost velocities, on this rank.
+        The largest share, in size, of a cell's mass and energy in the outermost velocities, on this rank.
     dissipated : (ny, nx) array
         Energy per volume that collisions took during the step.
     entered : dict of side -> (n, 5) array
@@ -441,9 +441,13 @@ class KineticStepper:
         )
 
     def box_shares(self) -> tuple[float, float]:
-        """The largest shares of mass and energy in the outermost velocities, over the cells of this rank."""
-        last = self._diagnostics
-        return float(last[..., stage.BOX_MASS].max()), float(last[..., stage.BOX_ENERGY].max())
+        """The largest shares of mass and energy in the outermost velocities, over the cells of this rank.
+
+        In size: where g is negative there, as linear reconstructions and the spectral operator can leave it, so is the
+        share.
+        """
+        mass, energy = (np.abs(self._diagnostics[..., part]) for part in (stage.BOX_MASS, stage.BOX_ENERGY))
+        return float(mass.max()), float(energy.max())
 
     def measure_sides(self) -> None:
         """Take the rates through the physical sides from the last stage alone: at the start, before any step."""

@@ -51,6 +51,7 @@ ORDER = (
     "kinetic/velocity",
     "kinetic/heat_flux",
     "kinetic/stress",
+    "kinetic/pressure_tensor",
     "scaling/omega",
     "fluid/density",
     "fluid/temperature",
