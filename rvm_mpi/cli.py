@@ -162,8 +162,7 @@ def _output(options: argparse.Namespace) -> Path:
 
 def _run(options: argparse.Namespace) -> int:
     from rvm_mpi import rundir
-    from rvm_mpi.domain import partition
-    from rvm_mpi.estimates import check_box, check_weights
+    from rvm_mpi.estimates import check_start
     from rvm_mpi.job import Job
 
     job = Job.from_file(options.job, options.set)
@@ -171,9 +170,7 @@ def _run(options: argparse.Namespace) -> int:
     rundir.check(output, options.restart, options.overwrite)
     if options.restart:
         rundir.check_restart(output, job)
-    partition(job.space.cells, failures.launched_size())
-    check_box(job)
-    check_weights(job)
+    check_start(job, failures.launched_size())
 
     from rvm_mpi.simulation import run_job
 
@@ -197,13 +194,13 @@ def _check(options: argparse.Namespace) -> int:
         raise JobError("check: give a job file, or --states (see rvm check --help)")
     lines: list[str] = []
     if options.job is not None:
-        from rvm_mpi.estimates import check_box, check_weights
+        from rvm_mpi.estimates import check_start
         from rvm_mpi.job import Job
 
         job = Job.from_file(options.job, options.set)
-        check_box(job)
-        check_weights(job)
-        lines += _check_lines(job, options.job, options.ranks or failures.launched_size())
+        ranks = options.ranks or failures.launched_size()
+        check_start(job, ranks)
+        lines += _check_lines(job, options.job, ranks)
     if options.states:
         lines += [*([""] if lines else []), *describe_states()]
     if failures.launched_rank() == 0:

@@ -6,7 +6,7 @@ Estimates look at the initial state alone and say so; nothing here starts MPI.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from math import ceil, gamma, inf, isfinite, log1p, pi, prod, sqrt
 from time import perf_counter
@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from rvm_mpi import kinetic_theory
+from rvm_mpi import fit, kinetic_theory
 from rvm_mpi.collisions.boltzmann_weights import SUPPORT, Rows
 from rvm_mpi.job_text import JobError
 from rvm_mpi.states import macroscopic_state
@@ -74,19 +74,20 @@ class StartFields:
 
 def start_fields(job: Job) -> StartFields:
     """The initial density, temperature, velocity and omega of every cell."""
+    parts = []
+    for _, density, velocity, tensor in _initial_rows(job):
+        variance = np.diagonal(tensor, axis1=-2, axis2=-1).copy()
+        parts.append((density, velocity, variance, fit.scaled(job, velocity, tensor).omega))
+    density, velocity, variance, omega = (np.concatenate(part) for part in zip(*parts, strict=True))
+    return StartFields(density, variance.mean(-1), velocity, np.sqrt(variance), omega)
+
+
+def _initial_rows(job: Job) -> Iterator[tuple[int, np.ndarray, np.ndarray, np.ndarray]]:
+    """The initial state by blocks of rows: the first row, density, velocity and temperature tensor."""
     nx, ny = (*job.space.cells, 1, 1)[:2]
     rows = max(1, ROWS_AT_ONCE // nx)
-    parts = []
     for j in range(0, ny, rows):
-        density, velocity, stress = macroscopic_state(job, 0, nx, j, min(ny, j + rows))
-        parts.append((density, velocity, np.diagonal(stress, axis1=-2, axis2=-1).copy()))
-    density, velocity, variance = (np.concatenate(part) for part in zip(*parts, strict=True))
-    temperature = variance.mean(-1)
-    if job.scaling.kind == "none":
-        omega = np.ones_like(temperature)
-    else:
-        omega = np.sqrt(temperature + (velocity**2).mean(-1))
-    return StartFields(density, temperature, velocity, np.sqrt(variance), omega)
+        yield (j, *macroscopic_state(job, 0, nx, j, min(ny, j + rows)))
 
 
 # --- the velocity grid
@@ -143,6 +144,21 @@ def largest_mach(job: Job) -> float:
     return sqrt(d * (1 / smallest - 1) * d / (d + 2))
 
 
+def check_start(job: Job, ranks: int) -> None:
+    """Refuse what cannot start, for `rvm check` and `rvm run` alike: the number of ranks, the state, the weights.
+
+    Raises
+    ------
+    JobError
+        Naming the key and what would do.
+    """
+    from rvm_mpi.domain import partition
+
+    partition(job.space.cells, ranks)
+    check_box(job)
+    check_weights(job)
+
+
 def check_box(job: Job) -> None:
     """Refuse a velocity grid too small or too coarse for the initial state (unscaled: or for a wall's gas).
 
@@ -154,19 +170,10 @@ def check_box(job: Job) -> None:
     start = start_fields(job)
     scale = start.omega[..., None]
     _check_width(job, "the initial state", start.velocity / scale, start.thermal / scale)
-    least = np.zeros(start.omega.shape)
-    for axis, (points, width) in enumerate(zip(job.velocity.points, job.velocity.half_width, strict=True)):
-        h = 2 * width / points
-        position = (start.velocity[..., axis] / start.omega + width) / h - 0.5
-        least += h**2 * (position % 1.0) * (1 - position % 1.0) / job.velocity.dimensions
-    too_cold = least > start.temperature / start.omega**2
-    if too_cold.any():
-        cell = np.unravel_index(np.argmax(least - start.temperature / start.omega**2), least.shape)
-        raise JobError(
-            f"velocity.points: too few for the initial state (value {list(job.velocity.points)}): they hold "
-            f"no temperature below {least[cell]:.4g} at its mean velocity, it needs "
-            f"{start.temperature[cell] / start.omega[cell] ** 2:.4g}"
-        )
+    for j, density, velocity, tensor in _initial_rows(job):
+        problem = fit.misfit(job, density, velocity, tensor, (0, j))
+        if problem:
+            raise JobError(problem)
     if job.scaling.kind == "none":
         for name, side in job.space.sides.items():
             if side.temperature is not None and side.velocity is not None:

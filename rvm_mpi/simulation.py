@@ -138,9 +138,6 @@ class Simulation:
         density = np.broadcast_to(np.asarray(density, dtype=float), (ny, nx)).copy()
         velocity = np.broadcast_to(np.asarray(velocity, dtype=float), (ny, nx, d)).copy()
         temperature = np.broadcast_to(np.asarray(temperature, dtype=float), (ny, nx))
-        worst = self.domain.maximum(float(np.max(-density)), float(np.max(-temperature)))
-        if not max(worst) < 0.0:
-            raise JobError(f"{self.job.name}: the initial density and temperature must be positive in every cell")
         return density, velocity, temperature[..., None, None] * np.eye(d)
 
     # -- the loop -----------------------------------------------------------------------------------------

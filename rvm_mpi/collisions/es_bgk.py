@@ -13,6 +13,7 @@ import math
 
 import numpy as np
 
+from rvm_mpi.fit import ROOM
 from rvm_mpi.kernels import part
 from rvm_mpi.kinetic.conservation import about_origin, solve
 from rvm_mpi.simd import exponential, leading, load, minimum, splat, store, total, where_positive
@@ -25,8 +26,6 @@ ACCEPTED = 1e-11
 NEWTON_STEPS = 40
 #: error of an axis's mean and variance from which one more step is the last
 LAST_STEP = 3e-8
-#: room above the smallest variance, in units of h^2, that keeps Newton's matrix well conditioned
-ROOM = 0.01
 
 #: result of `discrete_gaussian`: the tensor was met; it was replaced by the nearest one; not even T can be held; failed
 EXACT, REPLACED, TOO_COLD, FAILED = 0, 1, 2, 3

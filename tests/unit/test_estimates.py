@@ -85,9 +85,9 @@ def test_largest_mach_leaves_the_smallest_temperature():
     [
         make(),
         make({"state": "temperature-disc"}, collision=ELASTIC),
-        make({"state": "uniform", "velocity": [1, 0, 0]}),
-        make({"state": "uniform", "temperature": 1e6, "velocity": [1e3, 0, 0]}),
-        make(scaling={"kind": "none"}, half_width=8),
+        make({"state": "uniform", "velocity": [1, 0, 0]}, points=(24, 24, 9)),
+        make({"state": "uniform", "temperature": 1e6, "velocity": [1e3, 0, 0]}, points=(24, 24, 10)),
+        make(scaling={"kind": "none"}, half_width=8, points=(24, 24, 10)),
         make(
             {
                 "state": "riemann",
