@@ -209,6 +209,8 @@ def _check(options: argparse.Namespace) -> int:
 
 
 def _check_lines(job: Job, file: str, ranks: int) -> Iterator[str]:
+    from rvm_mpi.verdicts import verdicts
+
     yield f"{file}: valid" + (f' ("{job.title}")' if job.title else "")
     yield ""
     yield from _grid_lines(job, ranks)
@@ -216,6 +218,8 @@ def _check_lines(job: Job, file: str, ranks: int) -> Iterator[str]:
     yield from _physics_lines(job)
     yield from _velocity_lines(job)
     yield from _watch_lines(job)
+    for verdict in verdicts(job):
+        yield _row("verdict", verdict)
 
 
 def _row(name: str, text: str) -> str:
@@ -272,6 +276,7 @@ def _step_lines(job: Job, ranks: int) -> Iterator[str]:
 
 def _physics_lines(job: Job) -> Iterator[str]:
     from rvm_mpi import estimates
+    from rvm_mpi.verdicts import clustering_words
 
     gas = estimates.physics(job)
     if gas is None:
@@ -282,24 +287,29 @@ def _physics_lines(job: Job) -> Iterator[str]:
     if not isnan(gas.knudsen):
         yield _row(
             "Knudsen number",
-            f"{gas.knudsen:.4g}: mean free path of the mean state / shortest side (collision.knudsen = "
-            f"{job.collision.knudsen:g})",
+            f"{gas.knudsen:.4g}: mean free path of the mean state / {gas.length:g}, the shortest side"
+            + ("" if all(map(job.space.periodic, range(job.space.dimensions))) else " between boundaries")
+            + f" (collision.knudsen = {job.collision.knudsen:g})",
         )
         yield _row("cells per mean path", f"{gas.cells_per_mean_free_path:.3g} in the mean state")
     if gas.haff_time < inf:
         yield _row(
             "cooling", f"temperature falls to a quarter in t = {gas.haff_time:.4g} (Haff's law, mean state)"
         )
+    words = clustering_words(job)
+    if words:
+        yield _row("linear stability", words)
 
 
 def _range(values: Any) -> str:
     if values.high <= values.low * (1 + 1e-9):
         return f"{values.mean:.4g}"
-    return f"{values.mean:.4g} on average, {values.low:.4g} to {values.high:.4g}"
+    return f"{values.mean:.4g} on average by mass, in the cells {values.low:.4g} to {values.high:.4g}"
 
 
 def _velocity_lines(job: Job) -> Iterator[str]:
     from rvm_mpi import estimates
+    from rvm_mpi.verdicts import mach_carried
 
     of = "T" if job.scaling.kind == "none" else "T_g"
     grid = list(zip("xyz", job.velocity.points, job.velocity.half_width, strict=False))
@@ -311,7 +321,11 @@ def _velocity_lines(job: Job) -> Iterator[str]:
     )
     mach = estimates.largest_mach(job)
     if job.scaling.kind != "none" and mach < inf:
-        yield _row("  flows up to", f"Mach {mach:.3g}: faster ones leave too little of omega^2 to T_g")
+        yield _row(
+            "  flows up to",
+            f"Mach {mach:.3g}: faster ones leave too little of omega^2 to T_g; with every Gaussian exact, up to Mach "
+            f"{mach_carried(job):.3g}",
+        )
 
 
 def _watch_lines(job: Job) -> Iterator[str]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from math import ceil, gamma, inf, isfinite, log1p, pi, prod, sqrt
+from math import ceil, gamma, inf, isfinite, log1p, nan, pi, prod, sqrt
 from time import perf_counter
 from typing import TYPE_CHECKING
 
@@ -56,6 +56,8 @@ MAKING_WEIGHTS = 8
 """Memory that making the Boltzmann operator's weights takes for a moment, over that of the weights."""
 STANDARD_DEVIATIONS = 3.0
 """A box must hold the state this many thermal speeds around its mean velocity: one in 400 lies outside."""
+COARSE = 0.1
+"""Share of the gas in cells wider than its mean free path from which `rvm check` speaks of them."""
 ROWS_AT_ONCE = 2**18
 """Cells whose initial state is looked at together, so that large grids need little memory here."""
 
@@ -521,61 +523,73 @@ def operator_seconds(job: Job, ranks: int = 1) -> float:
 
 @dataclass(frozen=True)
 class Range:
-    """Smallest, mean and largest value over the cells."""
+    """Smallest, mean and largest value over the cells; the mean is that of the gas, each cell by its mass."""
 
     low: float
     mean: float
     high: float
 
     @classmethod
-    def of(cls, values: np.ndarray) -> Range:
-        """The range of an array."""
-        return cls(float(values.min()), float(values.mean()), float(values.max()))
+    def of(cls, values: np.ndarray, mass: np.ndarray) -> Range:
+        """The range of an array, its mean weighted with the cells' mass."""
+        return cls(float(values.min()), float((values * (mass / mass.sum())).sum()), float(values.max()))
 
 
 @dataclass(frozen=True)
 class Physics:
-    """Scales of the gas at the start; empty where it has no collisions."""
+    """Scales of the gas at the start, as `kinetic_theory` defines them.
+
+    The mean state has the mean density and, by mass, the mean temperature: nearly empty cells do not count for more
+    than they hold.
+    """
 
     collision_time: Range
     mean_free_path: Range
     knudsen: float
-    """Mean free path at mean density and temperature over the domain's shortest side; nan without space."""
+    """Mean free path of the mean state over `length`; nan without space."""
+    length: float
+    """The domain's shortest side between two boundaries; where all directions are periodic, its shortest side."""
     cells_per_mean_free_path: float
-    """The same mean free path over the widest cell; nan without space."""
+    """Mean free path of the mean state over the widest cell's width; nan without space."""
+    coarse: float
+    """Share of the mass in cells that are wider than the mean free path in them; 0 without space."""
+    shortest: float
+    """Mean free path that a share `COARSE` of the gas has, or a shorter one."""
     haff_time: float
-    """1/(cooling rho sqrt T) at mean density and temperature: T falls to a quarter; inf where elastic."""
+    """Time in which the mean state cools to a quarter; inf where it is elastic."""
+
+
+def mean_state(start: StartFields) -> tuple[float, float]:
+    """Mean density, and mean temperature by mass."""
+    mass = start.density / start.density.mean()
+    return float(start.density.mean()), float((mass * start.temperature).mean())
 
 
 def physics(job: Job) -> Physics | None:
-    """Mean free path, collision time and their relation to the grid at the start; None without collisions.
-
-    The collision frequency of the ES-BGK family is its relaxation rate, that of a Boltzmann kernel its loss
-    rate in a Maxwellian; the mean free path is the mean thermal speed times the collision time.
-    """
-    if job.collision.operator == "none":
+    """Mean free path, collision time and their relation to the grid at the start; None without collisions."""
+    collision, space, d = job.collision, job.space, job.velocity.dimensions
+    if collision.operator == "none":
         return None
     start = start_fields(job)
-    frequency = collision_frequency(job, start.density, start.temperature)
-    speed = mean_speed(job.velocity.dimensions, start.temperature)
-    density, temperature = start.density.mean(keepdims=True), start.temperature.mean(keepdims=True)
-    typical_frequency = collision_frequency(job, density, temperature)
-    path = float((mean_speed(job.velocity.dimensions, temperature) / typical_frequency).item())
-    cooling = job.collision.cooling * float(density.item()) * sqrt(temperature.item())
-    space = job.space
+    mass = start.density
+    path = kinetic_theory.mean_free_path(collision, d, start.density, start.temperature)
+    state = mean_state(start)
+    mean_path = float(kinetic_theory.mean_free_path(collision, d, *map(np.asarray, state)))
+    between = [length for axis, length in enumerate(space.length) if not space.periodic(axis)]
+    length = min(between or space.length, default=nan)
+    widest = max(space.spacing, default=nan)
+    order = np.argsort(path, axis=None)
+    share = np.cumsum(mass.ravel()[order]) / mass.sum()
     return Physics(
-        collision_time=Range.of(1 / frequency),
-        mean_free_path=Range.of(speed / frequency),
-        knudsen=path / min(space.length) if space.dimensions else float("nan"),
-        cells_per_mean_free_path=path / max(space.spacing) if space.dimensions else float("nan"),
-        haff_time=1 / cooling if cooling > 0 else inf,
+        collision_time=Range.of(path / kinetic_theory.mean_speed(d, start.temperature), mass),
+        mean_free_path=Range.of(path, mass),
+        knudsen=mean_path / length,
+        length=length,
+        cells_per_mean_free_path=mean_path / widest,
+        coarse=float(mass[path < widest].sum() / mass.sum()),
+        shortest=float(path.ravel()[order[np.searchsorted(share, COARSE)]]),
+        haff_time=kinetic_theory.cooling_time(collision, *state),
     )
-
-
-def mean_speed(dimensions: int, temperature: np.ndarray) -> np.ndarray:
-    """Mean of |v| in a Maxwellian at rest: sqrt(2 T) Gamma((d+1)/2) / Gamma(d/2)."""
-    d = dimensions
-    return np.sqrt(2 * temperature) * (gamma((d + 1) / 2) / gamma(d / 2))
 
 
 def collision_frequency(job: Job, density: np.ndarray, temperature: np.ndarray) -> np.ndarray:

@@ -79,7 +79,7 @@ def least_variance(points: int, half_width: float, mean: np.ndarray) -> np.ndarr
 
 
 def holds_anywhere(spacing: float) -> float:
-    """Variance from which nodes this far apart hold a Gaussian whatever its mean: half-way between two it is hardest."""
+    """Variance from which nodes this far apart hold a Gaussian whatever its mean; half-way is hardest."""
     return (0.25 + ROOM + ROUNDING) * spacing**2
 
 

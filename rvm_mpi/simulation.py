@@ -278,9 +278,9 @@ class Simulation:
     # -- what can be asked of the state ----------------------------------------------------------------
 
     def moments(self) -> dict[str, np.ndarray]:
-        """density, velocity, temperature, stress, pressure_tensor and heat_flux of f on this rank's cells (ny, nx, ...).
+        """Moments of f on this rank's cells (ny, nx, ...): density, velocity, temperature, heat_flux and two tensors.
 
-        stress is the temperature tensor Theta, pressure_tensor = density x stress the stress itself (`moments.fields`).
+        stress is the temperature tensor Theta, pressure_tensor = density x stress (`moments.fields`).
         """
         return self.kinetic.fields()
 
