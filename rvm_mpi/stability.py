@@ -1,7 +1,7 @@
 """Whether a cooling gas clusters: shear and heat modes of the homogeneous cooling state, from Navier and Stokes.
 
-In a gas that cools by T' = -zeta T, zeta = zeta0 rho T^r, whose collisions take a shear stress away at the rate nu_s and a
-heat flux at nu_q, both as T^q, the fluxes are those of Brey, Dufty, Kim and Santos (Phys. Rev. E 58, 1998)
+In a gas that cools by T' = -zeta T, zeta = zeta0 rho T^r, whose collisions take a shear stress away at the rate nu_s and
+a heat flux at nu_q, both as T^q, the fluxes are those of Brey, Dufty, Kim and Santos (Phys. Rev. E 58, 1998)
 
     stress -2 eta S, eta = P/(nu_s - (1 - q) zeta),    heat flux -kappa grad T - mu grad rho,
     kappa = (d + 2)/2 P/(nu_q - (2 + r - q) zeta),     mu = kappa zeta T/rho / (nu_q - (2 - q) zeta),

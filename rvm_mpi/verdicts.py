@@ -37,9 +37,10 @@ def _cells(job: Job) -> Iterator[str]:
     cells = [max(n, ceil(length / gas.shortest)) for n, length in zip(job.space.cells, job.space.length, strict=True)]
     knudsen = _rounded_up(job.collision.knudsen * wide)
     yield (
-        f"cells are {1 / gas.cells_per_mean_free_path:.3g} mean free paths wide in the mean state, and wider than one in "
-        f"{100 * gas.coarse:.0f} % of the gas: smooth flow follows the fluid limit, but layers at walls, shocks and free "
-        f"flight are not resolved; for those space.cells = {cells} or collision.knudsen = {knudsen:g} would do"
+        f"cells are {1 / gas.cells_per_mean_free_path:.3g} mean free paths wide in the mean state, and wider than one "
+        f"in {100 * gas.coarse:.0f} % of the gas: there smooth flow is that of the fluid limit, while layers at walls, "
+        f"shocks and free flight are not resolved; for those take space.cells = {cells} or collision.knudsen = "
+        f"{knudsen:g}, or more"
     )
 
 
