@@ -1,7 +1,7 @@
 """Whether a cooling gas clusters: shear and heat modes of the homogeneous cooling state, from Navier and Stokes.
 
-In a gas that cools by T' = -zeta T, zeta = zeta0 rho T^r, whose collisions take a shear stress away at the rate nu_s and
-a heat flux at nu_q, both as T^q, the fluxes are those of Brey, Dufty, Kim and Santos (Phys. Rev. E 58, 1998)
+In a gas that cools by T' = -zeta T, zeta = zeta0 rho T^r, whose collisions take a shear stress away at the rate nu_s
+and a heat flux at nu_q, both as T^q, the fluxes are those of Brey, Dufty, Kim and Santos (Phys. Rev. E 58, 1998)
 
     stress -2 eta S, eta = P/(nu_s - (1 - q) zeta),    heat flux -kappa grad T - mu grad rho,
     kappa = (d + 2)/2 P/(nu_q - (2 + r - q) zeta),     mu = kappa zeta T/rho / (nu_q - (2 - q) zeta),
@@ -15,7 +15,7 @@ temperature, is marginal where (2/(d rho)) (kappa - mu rho/T) k^2 = (1 - r) zeta
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import inf, log, pi, sqrt
+from math import inf, isfinite, log, pi, sqrt
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 
 #: longitudinal waves that are looked at, from the longest on, and temperatures on the way to the end
 WAVES, TEMPERATURES = 64, 33
+#: of the start's temperature: what falls below is not followed
+COLDEST = 1e-60
 
 
 @dataclass(frozen=True)
@@ -74,7 +76,8 @@ class CoolingGas:
         kappa = (d + 2) / 2 * rho * t / rates[1]
         eta = rho * t / rates[0] if d > 1 else 0.0
         mu = kappa * zeta * t / rho / rates[2]
-        return cls(d, rho, t, r, zeta, eta, kappa, mu) if kappa > mu * rho / t else None
+        sound = min(zeta, kappa) > 0.0 and isfinite(zeta + eta + kappa + mu) and kappa > mu * rho / t
+        return cls(d, rho, t, r, zeta, eta, kappa, mu) if sound else None
 
     @property
     def shear_wavelength(self) -> float:
@@ -148,7 +151,7 @@ def clustering(job: Job, density: float, temperature: float) -> Clustering | Non
     longest = max(space.length)
     cells = space.cells[space.length.index(longest)]
     k = 2 * pi / longest * np.arange(1, min(cells // 2, WAVES) + 1)
-    end = kinetic_theory.cooled(collision, density, temperature, job.time.end)
+    end = max(kinetic_theory.cooled(collision, density, temperature, job.time.end), COLDEST * temperature)
     folds, wanted = _folds(collision, d, density, np.geomspace(temperature, end, TEMPERATURES), k), inf
     ahead = _folds(collision, d, density, np.geomspace(temperature, 1e-12 * temperature, 10 * TEMPERATURES), k)
     if ahead[-1] > 3.0:

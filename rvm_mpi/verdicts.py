@@ -14,6 +14,8 @@ if TYPE_CHECKING:
     from rvm_mpi.estimates import StartFields
     from rvm_mpi.job import Job
 
+#: numbers above it are not worth a word
+LARGEST = 1e100
 #: e-foldings below which noise that is to become clusters has hardly grown
 FOLDS = 3.0
 
@@ -32,20 +34,26 @@ def _cells(job: Job) -> Iterator[str]:
     if gas is None or job.space.dimensions == 0 or gas.coarse < estimates.COARSE:
         return
     assert job.collision.knudsen is not None
-    widest = max(job.space.spacing)
-    wide = widest / gas.shortest
-    cells = [max(n, ceil(length / gas.shortest)) for n, length in zip(job.space.cells, job.space.length, strict=True)]
+    wide = max(job.space.spacing) / max(gas.shortest, 1e-300)
+    if not wide * job.collision.knudsen < LARGEST:
+        return
+    cells = [
+        max(n, ceil(length / max(gas.shortest, 1e-300)))
+        for n, length in zip(job.space.cells, job.space.length, strict=True)
+    ]
     knudsen = _rounded_up(job.collision.knudsen * wide)
+    finer = f"space.cells = {cells} or " if max(cells) <= 65536 else ""
     yield (
         f"cells are {1 / gas.cells_per_mean_free_path:.3g} mean free paths wide in the mean state, and wider than one "
         f"in {100 * gas.coarse:.0f} % of the gas: there smooth flow is that of the fluid limit, while layers at walls, "
-        f"shocks and free flight are not resolved; for those take space.cells = {cells} or collision.knudsen = "
-        f"{knudsen:g}, or more"
+        f"shocks and free flight are not resolved; for those take {finer}collision.knudsen = {knudsen:g}, or more"
     )
 
 
 def _rounded_up(value: float) -> float:
     """To two digits."""
+    if not 0.0 < value < LARGEST:
+        return value
     unit = 10.0 ** (floor(log10(value)) - 1)
     return float(f"{ceil(value / unit * (1 - 1e-12)) * unit:.6g}")
 

@@ -38,7 +38,8 @@ def test_a_sound_job_has_no_verdict(check):
 
 
 def test_cells_wider_than_a_mean_free_path(check):
-    tables = make(collision={"operator": "es-bgk", "knudsen": 0.05}, space={"cells": [40], "boundary": {"x": "diffuse"}})
+    space = {"cells": [40], "boundary": {"x": "diffuse"}}
+    tables = make(collision={"operator": "es-bgk", "knudsen": 0.05}, space=space)
     (line,) = check(tables)
     path = float(check(tables, "mean free path")[0].split()[3])
     assert f"cells are {1 / 40 / path:.3g} mean free paths wide" in line and "wider than one in 100 %" in line

@@ -96,7 +96,7 @@ def test_the_points_that_a_refusal_names_will_do():
 
 def test_a_library_users_state_is_held_to_the_same_rule():
     with pytest.raises(JobError, match=r"too few for the initial state .* cell \(3, 0\)"):
-        Simulation(make(), lambda x, y: (1.0, np.where(x[..., None] > 0.65, [9.0, 0.0], 0.0) * (x < 0.8)[..., None], 1.0))
+        Simulation(make(), lambda x, y: (1.0, np.where(abs(x[..., None] - 0.7) < 0.1, [9.0, 0.0], 0.0), 1.0))
     for sick in (0.0, -1.0, np.nan, np.inf):
         with pytest.raises(JobError, match=r"no positive, finite density and temperature in cell \(2, 0\)"):
             Simulation(make(), lambda x, y, sick=sick: (np.where(abs(x - 0.5) < 0.1, sick, 1.0), 0.0, 1.0))

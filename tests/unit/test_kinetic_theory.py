@@ -102,7 +102,7 @@ def test_sphere_area():
 
 @pytest.mark.parametrize("e", [0.3, 0.8, 1.0])
 def test_decay_rates_of_hard_spheres_are_those_of_brey_and_others(e):
-    """Brey, Dufty, Kim and Santos (1998), over the elastic shear rate: (1 + e)(3 - e)/4, (1 + e)/3 (1 + 33/16 (1 - e))."""
+    """Brey, Dufty, Kim and Santos (1998), over the elastic shear rate."""
     shear = shear_rate(3, 0.4)
     assert shear == pytest.approx(64 / 5 * sqrt(pi) * 0.4, rel=1e-14)
     assert shear_rate(3, 0.4, restitution=e) / shear == pytest.approx((1 + e) * (3 - e) / 4, rel=1e-14)
@@ -154,7 +154,7 @@ N, T = np.array([0.5, 3.0]), np.array([2.0, 0.3])
 @pytest.mark.parametrize("b", [0.25, 1.0])
 @pytest.mark.parametrize("keys", [{"prandtl": 2 / 3}, {"prandtl": 1.0}, {"prandtl": 1.7}, BOLTZMANN])
 def test_mean_free_path_of_hard_spheres(keys, b):
-    """1/(sqrt(2) pi n a^2), n a^2 = 4 b rho/eps, at any temperature and Prandtl number; the time is that of collisions."""
+    """1/(sqrt(2) pi n a^2), n a^2 = 4 b rho/eps, at any temperature and Prandtl number; the time between collisions."""
     collision = collision_of(**keys, cross_section=b)
     exact = 1 / (sqrt(2) * pi * 4 * b * N / 0.2)
     np.testing.assert_allclose(kinetic_theory.mean_free_path(collision, 3, N, T), exact, rtol=1e-14)

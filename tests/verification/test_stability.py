@@ -41,7 +41,7 @@ def growth_per_cooling(job):
 
 
 def test_shear_waves_decay_below_the_critical_wavelength_and_grow_above():
-    """Growth over cooling rate is 1/2 (1 - (critical length/box)^2): at boxes of 0.8 and 1.25 the one, its noughts agree."""
+    """Growth over cooling rate is 1/2 (1 - (critical length/box)^2), straight in 1/box^2: where it is nought agrees."""
     critical = gas_of(wave(1.0)).shear_wavelength  # grows as the Knudsen number
     boxes = np.array([0.8, 1.25])
     found = np.array([growth_per_cooling(wave(1 / (critical * box))) for box in boxes])
