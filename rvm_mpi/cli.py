@@ -160,9 +160,8 @@ def _output(options: argparse.Namespace) -> Path:
 
 def _run(options: argparse.Namespace) -> int:
     from rvm_mpi import rundir
-    from rvm_mpi.accuracy import check_grid
     from rvm_mpi.domain import partition
-    from rvm_mpi.estimates import check_box, check_start, check_weights
+    from rvm_mpi.estimates import check_start, check_weights
     from rvm_mpi.job import Job
     from rvm_mpi.job_checks import check_source
 
@@ -171,14 +170,12 @@ def _run(options: argparse.Namespace) -> int:
     rundir.check(output, options.restart, options.overwrite)
     if options.restart:
         rundir.check_restart(output, job)  # of the start nothing is looked at: the checkpoint holds it
+        check_weights(job)
+        partition(job.space.cells, launched().size)
     else:
         check_source(job, options.job, options.set)
-        check_box(job)
-        check_grid(job)
-        check_start(job)
-    check_weights(job)
+        check_start(job, launched().size)
     check_world()
-    partition(job.space.cells, launched().size)
 
     from rvm_mpi.simulation import run_job
 
@@ -202,17 +199,16 @@ def _check(options: argparse.Namespace) -> int:
         raise JobError("check: give a job file, or --states (see rvm check --help)")
     lines: list[str] = []
     if options.job is not None:
-        from rvm_mpi.accuracy import check_grid
-        from rvm_mpi.estimates import check_box, check_weights
+        from rvm_mpi.estimates import check_start, check_weights
         from rvm_mpi.job import Job
 
         job = Job.from_file(options.job, options.set)
-        starts = _starts(job, options)
+        starts, ranks = _starts(job, options), options.ranks or launched().size
         if starts:
-            check_box(job)
-            check_grid(job)
-        check_weights(job)
-        lines += _check_lines(job, options.job, options.ranks or launched().size, starts)
+            check_start(job, ranks)
+        else:
+            check_weights(job)
+        lines += _check_lines(job, options.job, ranks, starts)
     if options.states:
         lines += [*([""] if lines else []), *describe_states()]
     terminal.answer("\n".join(lines))
@@ -235,6 +231,8 @@ def _starts(job: Job, options: argparse.Namespace) -> bool:
 
 
 def _check_lines(job: Job, file: str, ranks: int, starts: bool = True) -> Iterator[str]:
+    from rvm_mpi.verdicts import verdicts
+
     yield f"{file}: valid" + (f' ("{one_line(job.title)}")' if job.title else "")
     yield ""
     yield from _grid_lines(job, ranks)
@@ -246,6 +244,8 @@ def _check_lines(job: Job, file: str, ranks: int, starts: bool = True) -> Iterat
     else:
         yield _row("initial state", "the run it came from is gone; --restart goes on from the checkpoint")
     yield from _watch_lines(job)
+    for verdict in verdicts(job) if starts else ():
+        yield _row("verdict", verdict)
 
 
 def _row(name: str, text: str) -> str:
@@ -302,6 +302,7 @@ def _step_lines(job: Job, ranks: int) -> Iterator[str]:
 
 def _physics_lines(job: Job) -> Iterator[str]:
     from rvm_mpi import estimates
+    from rvm_mpi.verdicts import clustering_words
 
     gas = estimates.physics(job)
     if gas is None:
@@ -312,24 +313,29 @@ def _physics_lines(job: Job) -> Iterator[str]:
     if not isnan(gas.knudsen):
         yield _row(
             "Knudsen number",
-            f"{gas.knudsen:.4g}: mean free path of the mean state / shortest side (collision.knudsen = "
-            f"{job.collision.knudsen:g})",
+            f"{gas.knudsen:.4g}: mean free path of the mean state / {gas.length:g}, the shortest side"
+            + ("" if all(map(job.space.periodic, range(job.space.dimensions))) else " between boundaries")
+            + f" (collision.knudsen = {job.collision.knudsen:g})",
         )
         yield _row("cells per mean path", f"{gas.cells_per_mean_free_path:.3g} in the mean state")
     if gas.haff_time < inf:
         yield _row(
             "cooling", f"temperature falls to a quarter in t = {gas.haff_time:.4g} (Haff's law, mean state)"
         )
+    words = clustering_words(job)
+    if words:
+        yield _row("linear stability", words)
 
 
 def _range(values: Any) -> str:
     if values.high <= values.low * (1 + 1e-9):
         return f"{values.mean:.4g}"
-    return f"{values.mean:.4g} on average, {values.low:.4g} to {values.high:.4g}"
+    return f"{values.mean:.4g} on average by mass, in the cells {values.low:.4g} to {values.high:.4g}"
 
 
 def _velocity_lines(job: Job) -> Iterator[str]:
     from rvm_mpi import estimates
+    from rvm_mpi.verdicts import mach_carried
 
     of = "T" if job.scaling.kind == "none" else "T_g"
     grid = list(zip("xyz", job.velocity.points, job.velocity.half_width, strict=False))
@@ -343,7 +349,11 @@ def _velocity_lines(job: Job) -> Iterator[str]:
         yield _row("  warning", line)
     mach = estimates.largest_mach(job)
     if job.scaling.kind != "none" and mach < inf:
-        yield _row("  flows up to", f"Mach {mach:.3g}: faster ones leave too little of omega^2 to T_g")
+        yield _row(
+            "  flows up to",
+            f"Mach {mach:.3g}: faster ones leave too little of omega^2 to T_g; with every Gaussian exact, up to Mach "
+            f"{mach_carried(job):.3g}",
+        )
 
 
 def _accuracy_lines(job: Job) -> Iterator[str]:

@@ -6,21 +6,20 @@ Estimates look at the initial state alone and say so; nothing here starts MPI.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from decimal import ROUND_CEILING, Decimal
-from math import ceil, gamma, inf, isfinite, log1p, pi, prod, sqrt
+from math import ceil, gamma, inf, isfinite, log1p, nan, pi, prod, sqrt
 from time import perf_counter
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from rvm_mpi import kinetic_theory
+from rvm_mpi import fit, kinetic_theory
 from rvm_mpi.collisions.boltzmann_weights import SUPPORT, Rows
 from rvm_mpi.job_text import JobError
 from rvm_mpi.states import macroscopic_state
 from rvm_mpi.units import power
-from rvm_mpi.velocity import ROOM
 
 if TYPE_CHECKING:
     from rvm_mpi.job import Job
@@ -61,6 +60,8 @@ STANDARD_DEVIATIONS = 3.0
 """A box must hold the state this many thermal speeds around its mean velocity: one in 400 lies outside."""
 COLLAPSED = 1e-12
 """A step shorter than this part of the end time leads nowhere."""
+COARSE = 0.1
+"""Share of the gas in cells wider than its mean free path from which `rvm check` speaks of them."""
 ROWS_AT_ONCE = 2**18
 """Cells whose initial state is looked at together, so that large grids need little memory here."""
 
@@ -79,19 +80,20 @@ class StartFields:
 
 def start_fields(job: Job) -> StartFields:
     """The initial density, temperature, velocity and omega of every cell."""
+    parts = []
+    for _, density, velocity, tensor in _initial_rows(job):
+        variance = np.diagonal(tensor, axis1=-2, axis2=-1).copy()
+        parts.append((density, velocity, variance, fit.scaled(job, velocity, tensor).omega))
+    density, velocity, variance, omega = (np.concatenate(part) for part in zip(*parts, strict=True))
+    return StartFields(density, variance.mean(-1), velocity, np.sqrt(variance), omega)
+
+
+def _initial_rows(job: Job) -> Iterator[tuple[int, np.ndarray, np.ndarray, np.ndarray]]:
+    """The initial state by blocks of rows: the first row, density, velocity and temperature tensor."""
     nx, ny = (*job.space.cells, 1, 1)[:2]
     rows = max(1, ROWS_AT_ONCE // nx)
-    parts = []
     for j in range(0, ny, rows):
-        density, velocity, stress = macroscopic_state(job, 0, nx, j, min(ny, j + rows))
-        parts.append((density, velocity, np.diagonal(stress, axis1=-2, axis2=-1).copy()))
-    density, velocity, variance = (np.concatenate(part) for part in zip(*parts, strict=True))
-    temperature = variance.mean(-1)
-    if job.scaling.kind == "none":
-        omega = np.ones_like(temperature)
-    else:
-        omega = np.sqrt(temperature + (velocity**2).mean(-1))
-    return StartFields(density, temperature, velocity, np.sqrt(variance), omega)
+        yield (j, *macroscopic_state(job, 0, nx, j, min(ny, j + rows)))
 
 
 # --- the velocity grid
@@ -148,6 +150,26 @@ def largest_mach(job: Job) -> float:
     return sqrt(d * (1 / smallest - 1) * d / (d + 2))
 
 
+def check_start(job: Job, ranks: int) -> None:
+    """Refuse what cannot start, for `rvm check` and `rvm run` alike.
+
+    The number of ranks, the state, the sides, a grid far too coarse for the operator, the weights, the first step.
+
+    Raises
+    ------
+    JobError
+        Naming the key and what would do.
+    """
+    from rvm_mpi.accuracy import check_grid
+    from rvm_mpi.domain import partition
+
+    partition(job.space.cells, ranks)
+    check_box(job)
+    check_grid(job)
+    check_weights(job)
+    check_first_step(job)
+
+
 def check_box(job: Job) -> None:
     """Refuse a velocity grid too small or too coarse for the initial state or for a side's.
 
@@ -159,19 +181,10 @@ def check_box(job: Job) -> None:
     start = start_fields(job)
     scale = start.omega[..., None]
     _check_width(job, "the initial state", start.velocity / scale, start.thermal / scale)
-    least = np.zeros(start.omega.shape)
-    for axis, (points, width) in enumerate(zip(job.velocity.points, job.velocity.half_width, strict=True)):
-        h = 2 * width / points
-        position = (start.velocity[..., axis] / start.omega + width) / h - 0.5
-        least += h**2 * (position % 1.0) * (1 - position % 1.0) / job.velocity.dimensions
-    too_cold = least > start.temperature / start.omega**2
-    if too_cold.any():
-        cell = np.unravel_index(np.argmax(least - start.temperature / start.omega**2), least.shape)
-        raise JobError(
-            f"velocity.points: too few for the initial state (value {list(job.velocity.points)}): they hold "
-            f"no temperature below {least[cell]:.4g} at its mean velocity, it needs "
-            f"{start.temperature[cell] / start.omega[cell] ** 2:.4g}"
-        )
+    for j, density, velocity, tensor in _initial_rows(job):
+        problem = fit.misfit(job, density, velocity, tensor, (0, j))
+        if problem:
+            raise JobError(problem)
     check_sides(job)
 
 
@@ -198,12 +211,12 @@ def _check_side(job: Job, name: str, velocity: np.ndarray, temperature: float) -
     mean, variance = velocity / omega, temperature / omega**2
     _check_width(job, f"the gas from {name}", mean, np.full(d, sqrt(variance)))
     for axis, (points, width) in enumerate(zip(job.velocity.points, job.velocity.half_width, strict=True)):
-        least = least_held(points, width, float(mean[axis]))
+        least = float(fit.least_variance(points, width, mean[axis]))
         if variance >= least:
             continue
         speed = sqrt(float(velocity @ velocity)) / sqrt((d + 2) / d * temperature)
         of = "T" if job.scaling.kind == "none" else "T/omega^2"
-        needed = ceil(2 * width / sqrt(variance / (0.25 + ROOM)))
+        needed = ceil(2 * width / sqrt(variance / (0.25 + fit.ROOM)))
         raise JobError(
             f"space.boundary.{name.replace('-', '.')}: the velocity grid cannot hold its state (temperature "
             f"{temperature:g}, Mach {speed:.3g}): along {'xyz'[axis]} {points} points hold no {of} below {least:.4g} "
@@ -226,14 +239,14 @@ def unresolved_sides(job: Job) -> list[str]:
         # what is too much of T/omega^2 in each direction across
         excess = {}
         for axis, (points, width) in enumerate(zip(job.velocity.points, job.velocity.half_width, strict=True)):
-            lacking = least_held(points, width, 0.0) - temperature / middle
+            lacking = float(fit.least_variance(points, width, np.zeros(()))) - temperature / middle
             if lacking > 0.0 and "xyz"[axis] != name[0]:
                 excess["xyz"[axis]] = lacking
         if not excess:
             continue
         heat = (job.velocity.dimensions + 1) / 2 * (hottest - temperature) / middle
         needed = max(
-            ceil(2 * job.velocity.half_width["xyz".index(axis)] / sqrt(temperature / middle / (0.25 + ROOM)))
+            ceil(2 * job.velocity.half_width["xyz".index(axis)] / sqrt(temperature / middle / (0.25 + fit.ROOM)))
             for axis in excess
         )
         lines.append(
@@ -242,11 +255,6 @@ def unresolved_sides(job: Job) -> list[str]:
             f"little heat; {needed} points, or a smaller half_width, would do"
         )
     return lines
-
-
-def least_held(points: int, half_width: float, mean: float) -> float:
-    """The smallest variance of a discrete Gaussian with this mean on the nodes of one direction; inf outside them."""
-    return least_temperature(points, half_width, mean) + ROOM * (2 * half_width / points) ** 2
 
 
 def _check_width(job: Job, what: str, mean: np.ndarray, thermal: np.ndarray) -> None:
@@ -327,7 +335,7 @@ def _fields_of_cells(job: Job, own: int, ghosted: int) -> float:
     d, everywhere = job.velocity.dimensions, prod(job.space.cells)
     state = 1 + d + d * d  # density, velocity, temperature tensor
     levels, diagnostics, rates = 3 * 16, 2 * 10, 5
-    snapshot = 2 + 2 * d + d * d
+    snapshot = 2 + 2 * d + 2 * d * d
     fluid = 5 * (d + 2) * ghosted + (d + 2) * own if job.fluid.enabled else 0
     # the progress line on rank 0 looks at the initial state of the whole grid
     looked_at = 3 * (1 + d) * everywhere + state * min(everywhere, ROWS_AT_ONCE)
@@ -460,7 +468,7 @@ def first_step(job: Job) -> FirstStep:
     )
 
 
-def check_start(job: Job) -> None:
+def check_first_step(job: Job) -> None:
     """Refuse a job whose first step leads nowhere, as the run would.
 
     Raises
@@ -629,61 +637,73 @@ def operator_seconds(job: Job, ranks: int = 1) -> float:
 
 @dataclass(frozen=True)
 class Range:
-    """Smallest, mean and largest value over the cells."""
+    """Smallest, mean and largest value over the cells; the mean is that of the gas, each cell by its mass."""
 
     low: float
     mean: float
     high: float
 
     @classmethod
-    def of(cls, values: np.ndarray) -> Range:
-        """The range of an array."""
-        return cls(float(values.min()), float(values.mean()), float(values.max()))
+    def of(cls, values: np.ndarray, mass: np.ndarray) -> Range:
+        """The range of an array, its mean weighted with the cells' mass."""
+        return cls(float(values.min()), float((values * (mass / mass.sum())).sum()), float(values.max()))
 
 
 @dataclass(frozen=True)
 class Physics:
-    """Scales of the gas at the start; empty where it has no collisions."""
+    """Scales of the gas at the start, as `kinetic_theory` defines them.
+
+    The mean state has the mean density and, by mass, the mean temperature: nearly empty cells do not count for more
+    than they hold.
+    """
 
     collision_time: Range
     mean_free_path: Range
     knudsen: float
-    """Mean free path at mean density and temperature over the domain's shortest side; nan without space."""
+    """Mean free path of the mean state over `length`; nan without space."""
+    length: float
+    """The domain's shortest side between two boundaries; where all directions are periodic, its shortest side."""
     cells_per_mean_free_path: float
-    """The same mean free path over the widest cell; nan without space."""
+    """Mean free path of the mean state over the widest cell's width; nan without space."""
+    coarse: float
+    """Share of the mass in cells that are wider than the mean free path in them; 0 without space."""
+    shortest: float
+    """Mean free path that a share `COARSE` of the gas has, or a shorter one."""
     haff_time: float
-    """1/(cooling rho sqrt T) at mean density and temperature: T falls to a quarter; inf where elastic."""
+    """Time in which the mean state cools to a quarter; inf where it is elastic."""
+
+
+def mean_state(start: StartFields) -> tuple[float, float]:
+    """Mean density, and mean temperature by mass."""
+    mass = start.density / start.density.mean()
+    return float(start.density.mean()), float((mass * start.temperature).mean())
 
 
 def physics(job: Job) -> Physics | None:
-    """Mean free path, collision time and their relation to the grid at the start; None without collisions.
-
-    The collision frequency of the ES-BGK family is its relaxation rate, that of a Boltzmann kernel its loss
-    rate in a Maxwellian; the mean free path is the mean thermal speed times the collision time.
-    """
-    if job.collision.operator == "none":
+    """Mean free path, collision time and their relation to the grid at the start; None without collisions."""
+    collision, space, d = job.collision, job.space, job.velocity.dimensions
+    if collision.operator == "none":
         return None
     start = start_fields(job)
-    frequency = collision_frequency(job, start.density, start.temperature)
-    speed = mean_speed(job.velocity.dimensions, start.temperature)
-    density, temperature = start.density.mean(keepdims=True), start.temperature.mean(keepdims=True)
-    typical_frequency = collision_frequency(job, density, temperature)
-    path = float((mean_speed(job.velocity.dimensions, temperature) / typical_frequency).item())
-    cooling = job.collision.cooling * float(density.item()) * sqrt(temperature.item())
-    space = job.space
+    mass = start.density
+    path = kinetic_theory.mean_free_path(collision, d, start.density, start.temperature)
+    state = mean_state(start)
+    mean_path = float(kinetic_theory.mean_free_path(collision, d, *map(np.asarray, state)))
+    between = [length for axis, length in enumerate(space.length) if not space.periodic(axis)]
+    length = min(between or space.length, default=nan)
+    widest = max(space.spacing, default=nan)
+    order = np.argsort(path, axis=None)
+    share = np.cumsum(mass.ravel()[order]) / mass.sum()
     return Physics(
-        collision_time=Range.of(1 / frequency),
-        mean_free_path=Range.of(speed / frequency),
-        knudsen=path / min(space.length) if space.dimensions else float("nan"),
-        cells_per_mean_free_path=path / max(space.spacing) if space.dimensions else float("nan"),
-        haff_time=1 / cooling if cooling > 0 else inf,
+        collision_time=Range.of(path / kinetic_theory.mean_speed(d, start.temperature), mass),
+        mean_free_path=Range.of(path, mass),
+        knudsen=mean_path / length,
+        length=length,
+        cells_per_mean_free_path=mean_path / widest,
+        coarse=float(mass[path < widest].sum() / mass.sum()),
+        shortest=float(path.ravel()[order[np.searchsorted(share, COARSE)]]),
+        haff_time=kinetic_theory.cooling_time(collision, *state),
     )
-
-
-def mean_speed(dimensions: int, temperature: np.ndarray) -> np.ndarray:
-    """Mean of |v| in a Maxwellian at rest: sqrt(2 T) Gamma((d+1)/2) / Gamma(d/2)."""
-    d = dimensions
-    return np.sqrt(2 * temperature) * (gamma((d + 1) / 2) / gamma(d / 2))
 
 
 def collision_frequency(job: Job, density: np.ndarray, temperature: np.ndarray) -> np.ndarray:

@@ -66,7 +66,7 @@ def tensor_from_sums(sums: np.ndarray, d: int) -> tuple[np.ndarray, np.ndarray, 
 def fields(
     g: np.ndarray, omega: np.ndarray, sums: np.ndarray, space: Any, grid: Any
 ) -> dict[str, np.ndarray]:
-    """Density, velocity, temperature, stress tensor and heat flux of f on the cells of a rank.
+    """Density, velocity, temperature, stress tensors and heat flux of f on the cells of a rank.
 
     Parameters
     ----------
@@ -78,17 +78,20 @@ def fields(
     Returns
     -------
     dict
-        density (ny, nx), velocity (ny, nx, d), temperature (ny, nx), stress (ny, nx, d, d), a temperature tensor, and
-        heat_flux (ny, nx, d) = 1/2 int c |c|^2 f dv.
+        density (ny, nx), velocity (ny, nx, d), temperature (ny, nx), stress (ny, nx, d, d), a temperature tensor,
+        pressure_tensor (ny, nx, d, d) = int c c^T f dv = density x stress, and heat_flux (ny, nx, d) =
+        1/2 int c |c|^2 f dv; c = v - velocity.
     """
     d = grid.dimensions
     density, mean, tensor = tensor_from_sums(sums, d)
     third = sums_about(g, space, grid, sums[..., 1:4] / density[..., None])[..., 10:13]
     w = omega[..., None]
+    stress = w[..., None] ** 2 * tensor
     return {
         "density": density * grid.weight,
         "velocity": w * mean,
         "temperature": omega**2 * np.trace(tensor, axis1=-2, axis2=-1) / d,
-        "stress": w[..., None] ** 2 * tensor,
+        "stress": stress,
+        "pressure_tensor": (density * grid.weight)[..., None, None] * stress,
         "heat_flux": 0.5 * (w * w * w) * grid.weight * third[..., :d],
     }

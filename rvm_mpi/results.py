@@ -98,6 +98,13 @@ def field_layout(job: Job) -> dict[str, Layout]:
             "its trace is d times the temperature",
             "reference temperature",
         ),
+        "kinetic/pressure_tensor": Layout(
+            (*space, d, d),
+            (*axes, "component", "other_component"),
+            "pressure tensor: the integral of c c^T f over v, density times kinetic/stress; its trace is d times the "
+            "pressure",
+            "reference pressure",
+        ),
         "scaling/omega": Layout(space, axes, "scaling of velocity: v = omega xi", "reference speed"),
     }
     if stores_fluid(job):

@@ -142,9 +142,6 @@ class Simulation:
         density = np.broadcast_to(np.asarray(density, dtype=float), (ny, nx)).copy()
         velocity = np.broadcast_to(np.asarray(velocity, dtype=float), (ny, nx, d)).copy()
         temperature = np.broadcast_to(np.asarray(temperature, dtype=float), (ny, nx))
-        worst = self.domain.maximum(float(np.max(-density)), float(np.max(-temperature)))
-        if not max(worst) < 0.0:
-            raise JobError(f"{self.job.name}: the initial density and temperature must be positive in every cell")
         return density, velocity, temperature[..., None, None] * np.eye(d)
 
     # -- the loop -----------------------------------------------------------------------------------------
@@ -286,7 +283,10 @@ class Simulation:
     # -- what can be asked of the state ----------------------------------------------------------------
 
     def moments(self) -> dict[str, np.ndarray]:
-        """density, velocity, temperature, stress and heat_flux of f on this rank's cells (ny, nx, ...), copies."""
+        """Moments of f on this rank's cells (ny, nx, ...): density, velocity, temperature, heat_flux, two tensors.
+
+        All are copies; stress is the temperature tensor Theta, pressure_tensor = density x stress (`moments.fields`).
+        """
         return self.kinetic.fields()
 
     def snapshot(self) -> dict[str, np.ndarray]:
@@ -301,22 +301,39 @@ class Simulation:
         return fields
 
     def walls(self) -> dict[str, np.ndarray]:
-        """Pressure, shear stress and heat flux of each wall face of this rank: means over the last step.
+        """What each wall face of this rank receives, per area and time: means over the last step.
 
-        The stress is the force on the wall per area: `pressure` (n,) along its outer normal, `shear_stress`
-        (n, d) along it; `heat_flux` (n,) is the energy the wall receives.
+        Returns
+        -------
+        dict
+            By name, for each wall `side` ("x-lower" and so on), over its n faces on this rank:
+
+            wall/side/pressure : (n,) array
+                Force on the wall per area along its outer normal, in units of density x speed^2.
+            wall/side/shear_stress : (n, d) array
+                Force on the wall per area along it, the same units; its normal component is 0.
+            wall/side/heat_flux : (n,) array
+                Heat that the wall receives, density x speed^3: the energy in its own frame, positive into the wall.
+            wall/side/work : (n,) array
+                Work that the gas does on the wall, force . velocity of the wall, the same units: negative where the
+                wall drives the gas. heat_flux + work is the energy that leaves the gas.
         """
         d = self.job.velocity.dimensions
         found = {}
         for name, rates in self.kinetic.through.items():
-            if self.job.space.sides[name].kind not in ("maxwell", "specular"):
+            side = self.job.space.sides[name]
+            if side.kind not in ("maxwell", "specular"):
                 continue
             axis, sign = "xy".index(name[0]), (1.0 if name.endswith("upper") else -1.0)
             shear = sign * rates[:, 1 : 1 + d]
             shear[:, axis] = 0.0
+            # no mass goes through it, and it moves along itself
+            velocity = (0.0,) * d if side.velocity is None else side.velocity
+            work = np.zeros(len(rates)) + sum(shear[:, q] * velocity[q] for q in range(d))
             found[f"wall/{name}/pressure"] = rates[:, 1 + axis].copy()
             found[f"wall/{name}/shear_stress"] = shear
-            found[f"wall/{name}/heat_flux"] = sign * rates[:, 4]
+            found[f"wall/{name}/heat_flux"] = sign * rates[:, 4] - work
+            found[f"wall/{name}/work"] = work
         return found
 
 
@@ -655,13 +672,28 @@ class Run:
             if side.kind in ("maxwell", "specular"):
                 n, axis = (ny, "y") if name[0] == "x" else (nx, "x")
                 shape, axes = ((n,), (axis,)) if sim.domain.dimensions == 2 else ((1,), ("face",))
-                what = f"of the wall at {name}, mean over the last step"
-                layout[f"wall/{name}/pressure"] = Layout(shape, axes, f"pressure {what}", "reference pressure")
+                what = f"the wall at {name}, mean over the last step"
+                layout[f"wall/{name}/pressure"] = Layout(
+                    shape, axes, f"pressure: force per area along the outer normal on {what}", "reference pressure"
+                )
                 layout[f"wall/{name}/shear_stress"] = Layout(
-                    (*shape, d), (*axes, "component"), f"shear stress {what}", "reference pressure"
+                    (*shape, d),
+                    (*axes, "component"),
+                    f"shear stress: force per area along the wall on {what}",
+                    "reference pressure",
                 )
                 layout[f"wall/{name}/heat_flux"] = Layout(
-                    shape, axes, f"energy received per area and time {what}", "reference pressure x speed"
+                    shape,
+                    axes,
+                    f"heat per area and time, in the wall's own frame, positive into {what}",
+                    "reference pressure x speed",
+                )
+                layout[f"wall/{name}/work"] = Layout(
+                    shape,
+                    axes,
+                    "work per area and time that the gas does, shear stress . velocity of the wall, positive where "
+                    f"the gas drives it, on {what}; heat_flux + work is the energy that leaves the gas",
+                    "reference pressure x speed",
                 )
         return layout
 

@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from rvm_mpi import stage
+from rvm_mpi import fit, stage
 from rvm_mpi.collisions.boltzmann import BoltzmannOperator
-from rvm_mpi.collisions.es_bgk import EXACT, REPLACED, discrete_gaussian, discrete_maxwellian
+from rvm_mpi.collisions.es_bgk import EXACT, REPLACED, discrete_maxwellian
 from rvm_mpi.collisions.weight_store import shared_weights
 from rvm_mpi.estimates import (
     DRIFT_SHARES,
@@ -29,8 +29,8 @@ from rvm_mpi.estimates import (
 )
 from rvm_mpi.job import JobError
 from rvm_mpi.kernels import Direct, kernel
-from rvm_mpi.kinetic.conservation import SUMS, correct
 from rvm_mpi.kinetic.drift import reach
+from rvm_mpi.kinetic.start import Sampler, fill_gaussians
 from rvm_mpi.kinetic.walls import KINDS, Side, fill_side
 from rvm_mpi.moments import fields, sums_about
 from rvm_mpi.simd import LANES, load, splat, total
@@ -45,8 +45,6 @@ if TYPE_CHECKING:
 
 #: ghost cells of g: Van Leer's stencil reaches two cells
 GHOSTS = 2
-#: largest relative error of the moments that a sampled initial state may be corrected by
-SAMPLED = 0.1
 #: Courant number up to which Van Leer's limiter keeps g positive
 POSITIVE = 0.5
 SIDES = ("x-lower", "x-upper", "y-lower", "y-upper")
@@ -106,7 +104,7 @@ class StepReport:
     replaced : int
         Cells (of this rank, over both stages) whose Gaussian had to take the nearest tensor the grid can hold.
     box_mass, box_energy : float
-        The largest share of a cell's mass and energy in the outermost velocities, on this rank.
+        The largest share, in size, of a cell's mass and energy in the outermost velocities, on this rank.
     dissipated : (ny, nx) array
         Energy per volume that collisions took during the step.
     entered : dict of side -> (n, 5) array
@@ -121,19 +119,6 @@ class StepReport:
     box_energy: float
     dissipated: np.ndarray
     entered: dict[str, np.ndarray]
-
-
-@kernel
-def _fill_gaussians(g, space, grid, density, mean, tensors, work, block, status, moments):  # type: ignore[no-untyped-def]
-    """Discrete Gaussians with the given sums, means and tensors in every cell; status (ny, nx) of each."""
-    row = (space.nx + 2 * space.wx) * grid.block
-    for j in range(space.ny):
-        for i in range(space.nx):
-            status[j, i] = discrete_gaussian(density[j, i], mean[j, i], tensors[j, i], grid, work, block, moments)
-            cell = (j + space.wy) * row + (i + space.wx) * grid.block
-            scale = density[j, i] / moments[0]
-            for n in range(grid.block):
-                g[cell + n] = scale * block[n]
 
 
 @kernel
@@ -270,76 +255,43 @@ class KineticStepper:
     def _set(self, density: np.ndarray, velocity: np.ndarray, tensor: np.ndarray) -> None:
         """g of the initial state: the discrete Gaussian with its moments, in its own omega."""
         d, grid = self.grid.dimensions, self.grid
+        self._refuse(fit.misfit(self.job, density, velocity, tensor, self.domain.start))
         speed2 = np.sum(velocity**2, axis=-1)
         trace = np.trace(tensor, axis1=-2, axis2=-1)
-        omega = np.sqrt((trace + speed2) / d) if self.rescaled else np.full_like(density, self.units.velocity)
-        self._interior(self.now.omega)[...] = omega
-        self._omega_end[...] = omega
-        mean = np.zeros((*density.shape, 3))
-        mean[..., :d] = velocity / omega[..., None]
-        packed = np.zeros((*density.shape, 6))
-        for place, (a, b) in enumerate([(0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)]):
-            if b < d:
-                packed[..., place] = tensor[..., a, b] / omega**2
+        state = fit.scaled(self.job, velocity, tensor, self.units.velocity)
+        self._interior(self.now.omega)[...] = state.omega
+        self._omega_end[...] = state.omega
         status = np.zeros(density.shape, dtype=np.int64)
-        _fill_gaussians(
+        fill_gaussians(
             self.g.reshape(-1),
             self.space,
             grid,
             density / grid.weight,
-            mean,
-            packed,
+            state.mean,
+            state.tensor,
             self.work.fit,
             self.work.gaussian,
             status,
             np.zeros(10),
         )
-        worst = int(self.domain.maximum(float(status.max()))[0])
-        if worst > EXACT:
-            self._refuse_state(worst, status, mean, packed)
-        shape = distribution(self.job)
-        if shape is not None:
-            self._sample(shape, density, mean, packed)
+        failed = status.max() > EXACT
+        self._refuse("velocity: the initial state does not fit the velocity grid; take more points" if failed else "")
+        if distribution(self.job) is not None:
+            sampler = Sampler(self.job, self.units)
+            for j, i in np.ndindex(density.shape):
+                cell = density[j, i], state.omega[j, i], state.mean[j, i], state.tensor[j, i]
+                self._interior(self.g)[j, i] = sampler.block(*cell)[0]
         self.refresh_sums()
         carried = self.now.carried
         carried[..., 0] = density
         carried[..., 1 : 1 + d] = density[..., None] * velocity
         carried[..., 4] = 0.5 * density * (trace + speed2)
 
-    def _sample(self, shape: Any, density: np.ndarray, mean: np.ndarray, tensor: np.ndarray) -> None:
-        """g of a state that is no Gaussian: its values at the nodes, corrected to the moments given."""
-        grid, velocity_grid = self.grid, self.velocity_grid
-        d, target, sums = grid.dimensions, np.zeros(5), np.zeros(SUMS)
-        inner = self._interior(self.g)
-        slab = (grid.points[0], grid.slab_size)
-        for j, i in np.ndindex(density.shape):
-            omega = float(self._interior(self.now.omega)[j, i])
-            axes = [omega * velocity_grid.nodes[q, : grid.points[q]] for q in range(d)]
-            scale = math.prod([omega] * d) * (density[j, i] / self.units.density)
-            values = scale * shape(*np.meshgrid(*axes, indexing="ij"))
-            block = np.zeros(slab)
-            block[:, : velocity_grid.slab_points] = values.reshape(grid.points[0], -1)
-            target[0] = density[j, i] / grid.weight
-            target[1:4] = target[0] * mean[j, i]
-            target[4] = 0.5 * target[0] * (np.sum(mean[j, i] ** 2) + tensor[j, i, [0, 3, 5]].sum())
-            work = self.work.correction
-            found = correct(block.reshape(-1), target, d, *slab, grid.x, grid.slab, work, sums)
-            if not 0.0 <= found < SAMPLED:
-                raise JobError(
-                    f"{self.job.name}: velocity: the initial state does not fit the velocity grid: sampled at its "
-                    "nodes, the moments are wrong by more than a tenth; take more points or another half_width"
-                )
-            inner[j, i] = (work[0][:, None] * work[1][None, :] * block).reshape(-1)
-
-    def _refuse_state(self, worst: int, status: np.ndarray, mean: np.ndarray, packed: np.ndarray) -> None:
-        what = "replaced by the nearest tensor" if worst == REPLACED else "impossible"
-        half = max(self.job.velocity.half_width)
-        spacing = ", ".join(f"{h:.3g}" for h in self.job.velocity.spacing)
-        raise JobError(
-            f"{self.job.name}: velocity: the initial state does not fit the velocity grid (half width {half:g}, "
-            f"spacing {spacing}): a Gaussian with its mean and temperature in some cell is {what}; "
-            "take more points or another half_width"
-        )
+    def _refuse(self, problem: str) -> None:
+        """JobError on every rank if any of them has found something, the same line on all; collective."""
+        found = [one for one in self.domain.comm.allgather(problem) if one]
+        if found:
+            raise JobError(f"{self.job.name}: {found[0]}")
 
     def refresh_sums(self) -> None:
         """Measure the sums of g over the nodes."""
@@ -446,9 +398,13 @@ class KineticStepper:
         )
 
     def box_shares(self) -> tuple[float, float]:
-        """The largest shares of mass and energy in the outermost velocities, over the cells of this rank."""
-        last = self._diagnostics
-        return float(last[..., stage.BOX_MASS].max()), float(last[..., stage.BOX_ENERGY].max())
+        """The largest shares of mass and energy in the outermost velocities, over the cells of this rank.
+
+        In size: where g is negative there, as linear reconstructions and the spectral operator can leave it, so is the
+        share.
+        """
+        mass, energy = (np.abs(self._diagnostics[..., part]) for part in (stage.BOX_MASS, stage.BOX_ENERGY))
+        return float(mass.max()), float(energy.max())
 
     def measure_sides(self) -> None:
         """Take the rates through the physical sides from the last stage alone: at the start, before any step."""

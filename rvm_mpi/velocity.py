@@ -17,8 +17,6 @@ from rvm_mpi.simd import LANES, LEAST
 Y, Z, Y_FACE, Z_FACE, VALID, Y_LEAST, Y_OPEN, Z_LEAST, Z_OPEN, EDGE, SPEED2, Z_TAPS = range(12)
 #: nodes around a face that the widest reconstruction takes
 TAPS = 8
-#: room above the smallest variance an axis can hold, in units of h^2, that keeps Newton's matrix well conditioned
-ROOM = 0.01
 
 
 @dataclass(frozen=True)

@@ -55,8 +55,8 @@ class Watch:
     def reason_to_stop(self, row: Mapping[str, float]) -> str:
         """Why the run must not go on with this row; empty if it may."""
         for name in ("box_mass", "box_energy"):
-            if row[name] > self._stop:
-                return f"{_WORDS[name].format(row[name])}, above watch.box_stop = {self._stop:g}"
+            if _size(name, row) > self._stop:
+                return f"{_WORDS[name].format(_size(name, row))}, above watch.box_stop = {self._stop:g}"
         return ""
 
 

@@ -13,10 +13,11 @@ import math
 
 import numpy as np
 
+from rvm_mpi.fit import ROOM
 from rvm_mpi.kernels import part
 from rvm_mpi.kinetic.conservation import about_origin, solve
 from rvm_mpi.simd import exponential, leading, load, minimum, splat, store, total, where_positive
-from rvm_mpi.velocity import ROOM, VALID, Y, Z
+from rvm_mpi.velocity import VALID, Y, Z
 
 #: relative mismatch of the ten moments at which Newton's iteration rests
 TOLERANCE = 2e-13

@@ -235,10 +235,10 @@ def test_a_run_that_was_killed(place):
     ids=str,
 )
 def test_a_step_that_leads_nowhere_is_refused_before(place, keys, cure):
-    from rvm_mpi.estimates import check_start
+    from rvm_mpi.estimates import check_first_step
     from rvm_mpi.job import Job
 
     job = Job.from_dict({"space": {"cells": [4]}, "velocity": {"points": [8, 8]}, "collision": keys,
                          "initial": {"state": "uniform"}, "time": {"end": 1.0}})  # fmt: skip
     with pytest.raises(JobError, match=cure):
-        check_start(job)
+        check_first_step(job)

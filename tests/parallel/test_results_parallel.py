@@ -42,6 +42,7 @@ ORDER = (
     "kinetic/velocity",
     "kinetic/heat_flux",
     "kinetic/stress",
+    "kinetic/pressure_tensor",
     "scaling/omega",
     "fluid/density",
     "fluid/temperature",
@@ -60,7 +61,7 @@ def test_same_bits_on_any_number_of_ranks(program, tmp_path, cells, ranks):
         sums.add(next(line for line in out.splitlines() if line.startswith("SUMS")))
         runs.append(results.open_run(directory))
     first = runs[0].assign_attrs(field_order=ORDER)
-    assert len(first.data_vars) == 10 + ("x" in cells)
+    assert len(first.data_vars) == 11 + ("x" in cells)
     for name in ORDER:
         for index in range(3):
             assert np.array_equal(

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rvm_mpi import bench, estimates
+from rvm_mpi import bench, estimates, kinetic_theory
 from rvm_mpi.collisions.boltzmann_weights import Rows
 from rvm_mpi.domain import aligned
 from rvm_mpi.job import Job, JobError
@@ -85,9 +85,9 @@ def test_largest_mach_leaves_the_smallest_temperature():
     [
         make(),
         make({"state": "temperature-disc"}, collision=ELASTIC),
-        make({"state": "uniform", "velocity": [1, 0, 0]}),
-        make({"state": "uniform", "temperature": 1e6, "velocity": [1e3, 0, 0]}),
-        make(scaling={"kind": "none"}, half_width=8),
+        make({"state": "uniform", "velocity": [1, 0, 0]}, points=(24, 24, 9)),
+        make({"state": "uniform", "temperature": 1e6, "velocity": [1e3, 0, 0]}, points=(24, 24, 10)),
+        make(scaling={"kind": "none"}, half_width=8, points=(24, 24, 10)),
         make(
             {
                 "state": "riemann",
@@ -275,19 +275,41 @@ def test_memory_of_g_is_two_ghosted_copies():
 def test_physics_of_hard_spheres():
     job = make({"state": "uniform", "density": 2.0, "temperature": 4.0})
     gas = estimates.physics(job)
-    tau = job.collision.relaxation.coefficient * 2.0 * 2.0 / 0.01
-    assert gas.collision_time.mean == pytest.approx(1 / tau)
-    assert gas.mean_free_path.mean == pytest.approx(sqrt(8 * 4 / pi) / tau)
-    assert gas.cells_per_mean_free_path == pytest.approx(64 * gas.mean_free_path.mean)
-    assert gas.knudsen == pytest.approx(gas.mean_free_path.mean)
+    path = 0.01 / (sqrt(2) * pi * 2.0)  # of unit diameter
+    assert gas.mean_free_path.mean == pytest.approx(path)
+    assert gas.collision_time.mean == pytest.approx(path / sqrt(8 * 4 / pi))
+    assert gas.cells_per_mean_free_path == pytest.approx(64 * path)
+    assert gas.knudsen == pytest.approx(path)
     assert 1 / (1 + job.collision.cooling * 4.0 * gas.haff_time) ** 2 == pytest.approx(0.25)
+
+
+def test_means_are_those_of_the_gas_not_of_empty_cells():
+    """Density uniform in (0, 1): the mean free path of the mean state, whatever the emptiest cell has."""
+    gas = estimates.physics(make({"state": "random-density"}))
+    density = estimates.start_fields(make({"state": "random-density"})).density
+    path = 0.01 / (sqrt(2) * pi * density)
+    assert gas.mean_free_path.mean == pytest.approx((density * path).sum() / density.sum(), rel=1e-12)
+    assert gas.mean_free_path.mean == pytest.approx(gas.knudsen, rel=1e-12) == pytest.approx(0.0045, rel=0.02)
+    assert gas.mean_free_path.high > 100 * gas.mean_free_path.mean
+    assert gas.coarse == pytest.approx(density[path < 1 / 64].sum() / density.sum())
+    assert density[path <= gas.shortest].sum() / density.sum() == pytest.approx(0.1, abs=0.001)
+
+
+@pytest.mark.parametrize(
+    ("boundary", "side"),
+    [({}, 0.5), ({"x": "diffuse"}, 2.0), ({"y": "specular"}, 0.5), ({"x": "vacuum", "y": "specular"}, 0.5)],
+)
+def test_the_knudsen_number_is_that_of_the_gap_between_boundaries(boundary, side):
+    job = make(cells=(16, 8), space={"upper": [2.0, 0.5], "boundary": boundary}, collision=ELASTIC)
+    gas = estimates.physics(job)
+    assert gas.knudsen == pytest.approx(gas.mean_free_path.mean / side) and gas.length == side
 
 
 @pytest.mark.parametrize("d", [1, 2, 3])
 def test_mean_speed_by_sampling(d):
     v = np.random.default_rng(d).standard_normal((200_000, d)) * sqrt(1.7)
     speed = np.linalg.norm(v, axis=1)
-    assert estimates.mean_speed(d, np.array(1.7)) == pytest.approx(
+    assert kinetic_theory.mean_speed(d, np.array(1.7)) == pytest.approx(
         speed.mean(), abs=4 * speed.std() / sqrt(len(v))
     )
 

@@ -67,7 +67,7 @@ def test_what_is_written_is_read_back(tmp_path, cells, d):
             file.write(index, time, fields[index])
     run = results.open_run(tmp_path)
     assert run.time.values.tolist() == [0.0, 0.5, 2.0]
-    assert len(run.data_vars) == 10
+    assert len(run.data_vars) == 11
     space = ("y", "x")[2 - len(cells) :]
     shape = tuple(reversed(cells))
     assert run.kinetic_density.dims == ("time", *space)

@@ -147,3 +147,33 @@ def test_a_threshold_of_one_is_never_passed():
     never = watch.Watch(make_job(watch={"box_warning": 1.0, "box_stop": 1.0}))
     assert never.reason_to_stop(row) == "" and never.warnings(row) == []
     assert watch.Watch(make_job(watch={"box_stop": 0.99})).reason_to_stop(row)
+
+
+def test_a_negative_share_counts_by_its_size():
+    """Linear reconstructions leave g negative in the outermost velocities: the share is then below zero."""
+    row = dict.fromkeys(("mass_error", "momentum_error", "energy_error", "box_mass"), 0.0)
+    row.update(box_energy=-0.3, step=1, time=0.5)
+    watched = watch.Watch(make_job(watch={"box_warning": 0.1, "box_stop": 0.2}))
+    assert watched.reason_to_stop(row) == "the outermost velocities hold 0.3 of some cell's energy, above " \
+        "watch.box_stop = 0.2"
+    assert len(watched.warnings(row)) == 1
+    assert watched.reason_to_stop({**row, "box_energy": -0.1}) == ""
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_cell_with_less_than_nothing_outside_stops_a_run(tmp_path, capsys, monkeypatch, sign):
+    """One cell's outermost velocities are given a two-hundredth of its mass, or lose as much, before step 2."""
+    advance = Simulation.advance
+
+    def disturbed(self):
+        if self.number == 1:
+            kinetic = self.kinetic
+            block = kinetic.velocity_grid.unpack(kinetic._interior(kinetic.g)[0, 2])
+            block[0] += sign * 0.005 * block.sum() / block[0].size
+        return advance(self)
+
+    monkeypatch.setattr(Simulation, "advance", disturbed)
+    job = make_job(watch={"box_stop": 0.001}, collision={"operator": "none"}, scheme={"conservative": False},
+                   scaling={"kind": "none"}, velocity={"points": [12, 10], "half_width": [8.0, 7.0]})  # fmt: skip
+    assert run_job(job, tmp_path / "run") == 3
+    assert "stopped after step 2 at" in capsys.readouterr().err
