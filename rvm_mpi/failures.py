@@ -17,11 +17,12 @@ from typing import Any, TypeVar
 
 from rvm_mpi.job_text import JobError, one_line
 from rvm_mpi.launch import LaunchError, launched
-from rvm_mpi.rundir import ENDED
 from rvm_mpi.terminal import tell
 
 T = TypeVar("T")
 
+ENDED = "ended: "
+"""Beginning of the last line of `run.log`, which says how a run has ended; a killed one has none."""
 REFUSED = 2
 FAILED = 3
 INTERRUPTED = 130  # as a shell has it for Ctrl-C

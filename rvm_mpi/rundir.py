@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rvm_mpi import runlock
+from rvm_mpi.failures import ENDED
 from rvm_mpi.job_text import JobError
 from rvm_mpi.terminal import tell
 
@@ -25,8 +26,6 @@ if TYPE_CHECKING:
 
 MARKS = ("job.toml", "fields.h5", "history.csv", "run.log")
 """Files that tell a run directory; checkpoints do too."""
-ENDED = "ended: "
-"""Beginning of the last line of `run.log`, which says how a run has ended; a killed one has none."""
 MAY_CHANGE = {"title", "time", "output", "watch"}
 """Tables that a restarted job may have changed: how far a run goes, what it stores and what it watches."""
 PLACES = {"initial.run"}

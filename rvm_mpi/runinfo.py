@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from rvm_mpi import rundir, runlock
+from rvm_mpi.failures import ENDED
 from rvm_mpi.job import Job, JobError
 from rvm_mpi.job_text import one_line
 from rvm_mpi.progress import duration
@@ -59,9 +60,9 @@ def _state(path: Path) -> str:
     except OSError:
         return "unknown: it has no run.log"
     _before, found, last = text.rpartition(f"\n{BEGUN}")  # the last of the runs that went on here
-    ends = [line for line in last.splitlines() if line.startswith(rundir.ENDED)]
+    ends = [line for line in last.splitlines() if line.startswith(ENDED)]
     if ends:
-        return ends[-1].removeprefix(rundir.ENDED)
+        return ends[-1].removeprefix(ENDED)
     start = re.search(rf"^{STARTED}(.+)$", last, re.MULTILINE) if found else None
     quiet, usual = _silence(path, start[1] if start else "")
     if quiet > usual:

@@ -28,7 +28,7 @@ from rvm_mpi.control import Control
 from rvm_mpi.domain import Domain
 from rvm_mpi.estimates import COLLAPSED, check_sides, stretched_time
 from rvm_mpi.exact_sum import exact_sums
-from rvm_mpi.failures import on_rank_0
+from rvm_mpi.failures import ENDED, on_rank_0
 from rvm_mpi.fluid import FluidSystem
 from rvm_mpi.fluid.euler import PositivityLost
 from rvm_mpi.job import Job, JobError
@@ -771,7 +771,7 @@ class Run:
 
     def _note_end(self, how: str) -> None:
         if self.log is not None:
-            self.log.write(f"{rundir.ENDED}{how}\n")
+            self.log.write(f"{ENDED}{how}\n")
 
     def _last_checkpoint(self) -> str:
         return "" if self.saved is None else f"; the checkpoint of step {self.saved} is there for --restart"
