@@ -122,12 +122,19 @@ def again(arguments: Sequence[str], ranks: int) -> str:
     return " ".join(map(_quoted, [*called, *arguments]))
 
 
+def _is_script() -> bool:
+    """Whether the command `rvm` itself was called."""
+    return Path(sys.argv[0]).name.startswith("rvm")
+
+
+def _is_module() -> bool:
+    """Whether `python -m rvm_mpi` was."""
+    return Path(sys.argv[0]) == Path(__file__).with_name("__main__.py")
+
+
 def _program() -> list[str]:
-    """The words that call this program; of another program that uses the package those that call `rvm`."""
-    name = sys.argv[0]
-    if Path(name).name.startswith("rvm"):
-        return [name]
-    return [sys.executable, "-m", "rvm_mpi"]
+    """The words that call this program, also where another one has called it from Python."""
+    return [sys.argv[0]] if _is_script() else [sys.executable, "-m", "rvm_mpi"]
 
 
 def _from_mpirun() -> list[str]:
@@ -138,7 +145,7 @@ def _from_mpirun() -> list[str]:
         return []
     words, own = [os.fsdecode(word) for word in line.split(b"\0")[:-1]], sys.argv[1:]
     head = words[: len(words) - len(own)]
-    if not own or not head or words[len(head) :] != own or ":" in head:
+    if not own or not head or words[len(head) :] != own or ":" in head or not (_is_script() or _is_module()):
         return []
     if not Path(head[0]).name.startswith(_MPIRUN):
         return []

@@ -183,8 +183,9 @@ def test_a_gas_too_cold_for_its_grid_fails_in_one_line(tmp_path, capsys):
     assert main(["run", str(job), "--output", str(run), "--quiet"]) == 3
     captured = capsys.readouterr()
     lines = (run / "run.log").read_text().splitlines()
-    assert lines[-1].startswith("rvm: cooling: ")
-    assert captured.err == lines[-1] + "\n"  # --quiet does not hide a failure
+    assert lines[-2].startswith("rvm: cooling: ")
+    assert lines[-1] == lines[-2].replace("rvm: cooling: ", "ended: failed: ")
+    assert captured.err == lines[-2] + "\n"  # --quiet does not hide a failure
     assert "T_g is below what its spacing resolves in cell (0, 0); step" in lines[-1]
     assert captured.out == ""
     history = read_history(run)

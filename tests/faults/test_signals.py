@@ -4,12 +4,15 @@ The stop file, the wall-clock limit and signals to single ranks between steps: t
 """
 
 import os
+import shlex
 import signal
 import subprocess
+import sys
+import time
 
 import pytest
 from conftest import start_line
-from faults.faulty import ROOT, Started, assert_readable, assert_same, mpi_environment, run, wait_for
+from faults.faulty import BOUND, ROOT, Started, assert_readable, assert_same, mpi_environment, run, wait_for
 
 from rvm_mpi import rundir
 
@@ -75,17 +78,27 @@ def test_the_script_is_mpirun_otherwise(place):
     assert "up" in done.stdout
 
 
-def test_the_line_that_says_how_to_go_on_is_a_command_that_does(place, whole):
-    with Started(2, ["0.1:step:all:each"], "run", place / "job.toml", "--output", place / "run", mpirun=SCRIPT,
-                 log=place / "log") as started:  # fmt: skip
-        wait_for(lambda: rundir.checkpoints(place / "run"), started)
-        started.process.send_signal(signal.SIGTERM)
-        assert started.wait() == 75, (place / "log").read_text()
-        command = started.lines()[0].partition("go on with: ")[2]
-    assert str(SCRIPT[0]) in command
-    done = subprocess.run(["bash", "-c", command], cwd=ROOT, env=mpi_environment(), capture_output=True, timeout=90)
-    assert done.returncode == 0, done.stderr
-    assert_same(place / "run", whole)
+def test_the_line_that_says_how_to_go_on_is_a_command_that_does(place):
+    line = list(map(str, start_line(2, "-m", "rvm_mpi", mpirun=SCRIPT)))
+    directory = place / "a run"
+    command = shlex.join([*line, "run", "job.toml", "--output", directory.name, "--set", "time.max_steps=1000000"])
+    history = directory / "history.csv"
+    for _turn in range(2):
+        before = history.stat().st_size if history.exists() else 0
+        with subprocess.Popen(
+            ["bash", "-c", f"exec {command}"], cwd=place, env=mpi_environment() | {"PYTHONPATH": str(ROOT)},
+            stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, start_new_session=True,
+        ) as process:  # fmt: skip
+            limit = time.monotonic() + BOUND
+            while process.poll() is None and time.monotonic() < limit:
+                if history.exists() and history.stat().st_size > before and rundir.checkpoints(directory):
+                    break
+                time.sleep(0.05)
+            process.send_signal(signal.SIGTERM)
+            _, said = process.communicate(timeout=BOUND)
+        assert process.returncode == 75, said
+        command = next(text for text in said.splitlines() if "stopped by" in text).partition("go on with: ")[2]
+        assert command == shlex.join([*line, "run", "a run/job.toml", "--output", "a run", "--restart"])
 
 
 def test_ctrl_c_before_the_run_begins_is_no_traceback(place):
