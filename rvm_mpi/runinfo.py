@@ -54,7 +54,11 @@ def _row(name: str, text: str) -> str:
 
 
 def _state(path: Path) -> str:
-    """How the run ended, by the last line of `run.log`; without one it was killed, unless it still runs."""
+    """Running, or how it ended: by its lock; where that cannot tell, by the last line of `run.log`, if it has one."""
+    owner = _owner(path)
+    alive = None if owner is None else owner.runs_here()
+    if alive is not None:
+        return "running" if alive else "killed: it has said no end, and its process is gone"
     try:
         text = "\n" + (path / "run.log").read_text(encoding="utf-8", errors="replace")
     except OSError:
@@ -80,12 +84,17 @@ def _silence(path: Path, started: str) -> tuple[float, float]:
     return clock.time() - last, QUIET + PACE * max(last - begin, 0.0) / rows
 
 
+def _owner(path: Path) -> runlock.Owner | None:
+    """Who has the directory's lock, if anyone has."""
+    try:
+        return runlock.read(path / runlock.FILE)
+    except OSError:
+        return None
+
+
 def _lock_lines(path: Path) -> Iterator[str]:
     """Whether a run is writing into the directory now."""
-    try:
-        owner = runlock.read(path / runlock.FILE)
-    except OSError:
-        return
+    owner = _owner(path)
     if owner is None:
         return
     alive = owner.runs_here()

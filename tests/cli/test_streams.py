@@ -219,6 +219,8 @@ def test_a_run_that_was_killed(place):
         while not (place / "run" / "history.csv").exists() and time.monotonic() < limit:
             time.sleep(0.05)
         process.kill()
+    assert "state         killed: it has said no end, and its process is gone" in shell("rvm info run", place)[1]
+    (place / "run" / "lock").unlink()
     assert "or just killed" in shell("rvm info run", place)[1]
     for file in (place / "run").iterdir():
         os.utime(file, (1e9, 1e9))
