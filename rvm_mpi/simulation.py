@@ -10,6 +10,7 @@ is one time step each; `run_job` is the same loop with a run directory around it
 from __future__ import annotations
 
 import bisect
+import contextlib
 import math
 import shlex
 import sys
@@ -32,7 +33,7 @@ from rvm_mpi.failures import launched_rank, on_rank_0
 from rvm_mpi.fluid import FluidSystem
 from rvm_mpi.fluid.euler import PositivityLost
 from rvm_mpi.job import Job, JobError
-from rvm_mpi.results import DirectoryLost, DiskFailure
+from rvm_mpi.results import DiskFailure
 from rvm_mpi.runlock import Claim
 from rvm_mpi.states import macroscopic_state
 from rvm_mpi.stepping import KineticStepper, NumericalFailure, StepReport
@@ -691,11 +692,11 @@ class Run:
         except NumericalFailure as error:
             self.say(f"rvm: {sim.job.name}: {error}{self._last_healthy()}{self.examine(error)}", failure=True)
             return 3
-        except DirectoryLost as error:
-            self.say(f"rvm: {sim.job.name}: {error}; step {sim.number}, t = {sim.time:.6g}", failure=True)
-            return 3
         except DiskFailure as error:
-            self.say(f"rvm: {sim.job.name}: {error}{self._last_checkpoint()}", failure=True)
+            # what was moved away just then cannot be written either
+            lost = self.claim.lost() if self.head else ""
+            what = f"{lost}; step {sim.number}, t = {sim.time:.6g}" if lost else f"{error}{self._last_checkpoint()}"
+            self.say(f"rvm: {sim.job.name}: {what}", failure=True)
             return 3
         if progress is not None:
             progress.close()
@@ -773,8 +774,11 @@ class Run:
         begin = clock.perf_counter()
         path = checkpoint.write(sim.state(), sim.domain, sim.job, self.output, sim.number)
         self.saved = sim.number
-        if self.log is not None:
-            size, seconds = path.stat().st_size / 1e6, clock.perf_counter() - begin
+        seconds = clock.perf_counter() - begin
+        if self.log is None:
+            return
+        with contextlib.suppress(FileNotFoundError):  # moved away just now: the next write notices
+            size = path.stat().st_size / 1e6
             self.log.write(f"checkpoint of step {sim.number}, t = {sim.time:.6g}: {size:.1f} MB in {seconds:.2f} s\n")
 
     def record(self) -> None:
