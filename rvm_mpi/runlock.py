@@ -407,10 +407,16 @@ class Claim:
     def _check(self) -> None:
         from rvm_mpi.results import DirectoryLost
 
-        if not self.held():
-            other = read(self.directory / FILE)
-            why = f"{other.named()} has it" if other else "it was moved, or its lock removed"
-            raise DirectoryLost(f"{self.directory} is no longer this run's: {why}; nothing more is written")
+        if lost := self.lost():
+            raise DirectoryLost(lost)
+
+    def lost(self) -> str:
+        """That and why the directory is no longer this run's; empty if it is."""
+        if self.held():
+            return ""
+        other = read(self.directory / FILE)
+        why = f"{other.named()} has it" if other else "it was moved, or its lock removed"
+        return f"{self.directory} is no longer this run's: {why}; nothing more is written"
 
     def note(self, error: Exception) -> None:
         """Put the traceback of an error that nobody expected into the directory's `run.log`."""

@@ -10,6 +10,7 @@ is one time step each; `run_job` is the same loop with a run directory around it
 from __future__ import annotations
 
 import bisect
+import contextlib
 import math
 import os
 import sys
@@ -33,7 +34,7 @@ from rvm_mpi.fluid import FluidSystem
 from rvm_mpi.fluid.euler import PositivityLost
 from rvm_mpi.job import Job, JobError
 from rvm_mpi.launch import LaunchError, again, launched
-from rvm_mpi.results import DirectoryLost, DiskFailure
+from rvm_mpi.results import DiskFailure
 from rvm_mpi.runlock import Claim
 from rvm_mpi.states import macroscopic_state
 from rvm_mpi.stepping import KineticStepper, NumericalFailure, StepReport
@@ -742,10 +743,12 @@ class Run:
                     self.save()
         except NumericalFailure as error:
             return self._failed(f"{error}{self._last_healthy()}{self.examine(error)}")
-        except DirectoryLost as error:
-            return self._failed(f"{error}; step {sim.number}, t = {sim.time:.6g}")
         except DiskFailure as error:
-            return self._failed(f"{error}{self._last_checkpoint()}")
+            # what was moved away just then cannot be written either
+            lost = self.claim.lost() if self.head else ""
+            return self._failed(
+                f"{lost}; step {sim.number}, t = {sim.time:.6g}" if lost else f"{error}{self._last_checkpoint()}"
+            )
         if progress is not None:
             progress.close()
         if not stopped:
@@ -833,8 +836,11 @@ class Run:
         begin = clock.perf_counter()
         path = checkpoint.write(sim.state(), sim.domain, sim.job, self.output, sim.number)
         self.saved = sim.number
-        if self.log is not None:
-            size, seconds = path.stat().st_size / 1e6, clock.perf_counter() - begin
+        seconds = clock.perf_counter() - begin
+        if self.log is None:
+            return
+        with contextlib.suppress(FileNotFoundError):  # moved away just now: the next write notices
+            size = path.stat().st_size / 1e6
             self.log.write(f"checkpoint of step {sim.number}, t = {sim.time:.6g}: {size:.1f} MB in {seconds:.2f} s\n")
 
     def record(self) -> None:

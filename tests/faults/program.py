@@ -10,7 +10,7 @@ package itself knows of faults. Actions:
     fill        the disk that the run directory lies on is filled to its last byte, really
     device      the history goes to /dev/full
     kill        kill -9 of this rank; SIGTERM, SIGINT, SIGUSR1: that signal to this rank
-    hold        the rank waits until there is a file `go` beside the run directory
+    hold        the rank makes a file `held` beside the run directory and waits for one `go`
     remove      the run directory is removed, by whoever comes first
     0.05        so many seconds pass
 """
@@ -74,6 +74,7 @@ def do(action, arguments, itself):
         signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
         resource.setrlimit(resource.RLIMIT_FSIZE, (1000, resource.getrlimit(resource.RLIMIT_FSIZE)[1]))
     elif action == "hold":
+        (directory.parent / "held").touch()
         while not (directory.parent / "go").exists():
             time.sleep(0.02)
     elif action == "remove":

@@ -120,7 +120,7 @@ def test_a_log_that_cannot_be_written_does_not_end_the_run(place, whole):
 def test_the_output_is_removed_under_the_run(place, often):
     """Found out by the next thing that is written by its name, at the latest by the next checkpoint."""
     directory = place / "run"
-    words = [str(directory), "No such file or directory"]
+    words = [f"{directory} is no longer this run's: it was moved, or its lock removed"]
     assert_ends(place, directory, ["remove:step:0:6"], words, *(() if often else SELDOM))
 
 

@@ -12,6 +12,8 @@ from rvm_mpi.results import open_run
 
 pytestmark = pytest.mark.timeout(900)
 
+#: what is there instead, and whether the run is held between two steps or may be within a checkpoint's write
+MOVES = ["another run in its place", "nothing in its place", "at any moment"]
 HELD = ["hold:step:all:6"]
 
 
@@ -66,12 +68,12 @@ def test_of_two_that_overwrite_at_one_instant_one_is_refused(place, whole):
 
 
 @pytest.mark.parametrize("ranks", [1, 2])
-@pytest.mark.parametrize("again", [True, False], ids=["another run in its place", "nothing in its place"])
-def test_a_run_whose_directory_is_moved_away_stops(place, whole, ranks, again):
+@pytest.mark.parametrize(("again", "held"), [(True, True), (False, True), (False, False)], ids=MOVES)
+def test_a_run_whose_directory_is_moved_away_stops(place, whole, ranks, again, held):
     """It writes nothing into what another run has made in the meantime."""
     job, directory, aside = place / "job.toml", place / "run", place / "aside"
     with Started(ranks, HELD, "run", job, "--output", directory, "--quiet", log=place / "log") as started:
-        wait_for(lambda: rundir.checkpoints(directory), started)
+        wait_for((place / "held").exists if held else lambda: rundir.checkpoints(directory), started)
         directory.rename(aside)
         if again:
             assert run(1, [], job, "--output", directory, "--quiet", log=place / "log-2") == (0, [])
