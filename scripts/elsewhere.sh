@@ -118,6 +118,7 @@ scripts=/usr/share/debootstrap/scripts
     git clone --no-hardlinks . "$root/root/rvm_mpi"
 } >"$logs/$system-root.log" 2>&1 </dev/null || fail "no root: the end of runs/elsewhere/$system-root.log says why"
 
+commit=$(git -C "$root/root/rvm_mpi" rev-parse --short HEAD)
 status=0 answers=()
 TIMEFORMAT='%R %U %S'
 for target in "${targets[@]}"; do
@@ -132,7 +133,7 @@ for target in "${targets[@]}"; do
     grep -E '^(FAILED|ERROR) ' "$log" || true
 done
 
-say "$system at $(git rev-parse --short HEAD), $(inside /root/rvm_mpi/.venv/bin/python -c '
+say "$system at $commit, $(inside /root/rvm_mpi/.venv/bin/python -c '
 import platform, numba, numpy
 from mpi4py import MPI
 from petsc4py import PETSc
