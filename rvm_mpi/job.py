@@ -10,6 +10,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Iterable, Iterator, Mapping
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, get_args
 
@@ -18,6 +19,7 @@ from pydantic import BaseModel, Field, PrivateAttr, ValidationError
 
 from rvm_mpi.job_checks import resolve
 from rvm_mpi.job_schema import (
+    FORMS,
     INITIAL_STATES,
     Boundary,
     Collision,
@@ -206,8 +208,9 @@ def _problem(error: ValidationError, raw: dict[str, Any]) -> KeyProblem:
     """The first thing pydantic found wrong; misspelt keys first, for they explain missing ones."""
     errors = error.errors(include_url=False)
     first = min(errors, key=lambda e: e["type"] != "extra_forbidden")
-    # pydantic marks which form of a value it tried, here in parentheses
-    path = tuple(p for p in first["loc"] if isinstance(p, str) and not p.startswith("("))
+    # pydantic marks which form of output.times it tried
+    steps = pairwise(("", *first["loc"]))
+    path = tuple(p for before, p in steps if isinstance(p, str) and not (before == "times" and p in FORMS))
     kind, value, context = first["type"], first["input"], first.get("ctx", {})
     if kind == "union_tag_not_found":
         return KeyProblem("initial.state", "must be given", allowed=_listed(INITIAL_STATES))

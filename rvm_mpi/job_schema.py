@@ -304,15 +304,19 @@ class SpacedTimes(Section):
     spacing: Literal["linear", "log"] = Field(default="linear", description='"linear" | "log"')
 
 
+FORMS = ("(list)", "(table)")
+"""How pydantic marks the forms of output.times in the place of an error."""
+
+
 def _form_of_times(value: Any) -> str:
-    return "(table)" if isinstance(value, (Mapping, SpacedTimes)) else "(list)"
+    return FORMS[1] if isinstance(value, (Mapping, SpacedTimes)) else FORMS[0]
 
 
 if TYPE_CHECKING:
     Times = tuple[float, ...]  # what they are once resolved
 else:
     Times = Annotated[
-        Annotated[tuple[NonNegative, ...], Field(min_length=1), Tag("(list)")] | Annotated[SpacedTimes, Tag("(table)")],
+        Annotated[tuple[NonNegative, ...], Field(min_length=1), Tag(FORMS[0])] | Annotated[SpacedTimes, Tag(FORMS[1])],
         Discriminator(_form_of_times),
     ]
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from rvm_mpi.job import ALLOWED, Job, JobError
@@ -601,6 +601,8 @@ def test_junk_in_an_initial_state(state, keys):
 
 @settings(deadline=None, max_examples=100)
 @given(mapping=st.dictionaries(st.text(max_size=12), values, max_size=4) | values)
+@example(mapping={"(": 1})
+@example(mapping={"(list)": 1})
 def test_junk_instead_of_a_job(mapping):
     outcome(mapping)
 
