@@ -189,6 +189,7 @@ class KineticStepper:
 
     def __init__(self, job: Job, domain: Domain, density: np.ndarray, velocity: np.ndarray, tensor: np.ndarray) -> None:
         self.job, self.domain = job, domain
+        self._refuse(fit.misfit(job, density, velocity, tensor, domain.start))
         hottest = np.trace(tensor, axis1=-2, axis2=-1).max() / job.velocity.dimensions
         largest = domain.maximum(float(density.max()), float(hottest))
         self.units = GasUnits.of(largest[0], largest[1], self.rescaled, job.velocity.dimensions)
@@ -255,7 +256,6 @@ class KineticStepper:
     def _set(self, density: np.ndarray, velocity: np.ndarray, tensor: np.ndarray) -> None:
         """g of the initial state: the discrete Gaussian with its moments, in its own omega."""
         d, grid = self.grid.dimensions, self.grid
-        self._refuse(fit.misfit(self.job, density, velocity, tensor, self.domain.start))
         speed2 = np.sum(velocity**2, axis=-1)
         trace = np.trace(tensor, axis1=-2, axis2=-1)
         state = fit.scaled(self.job, velocity, tensor, self.units.velocity)

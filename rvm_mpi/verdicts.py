@@ -116,8 +116,10 @@ def _clustering(job: Job, start: StartFields) -> Iterator[str]:
             f"cluster forms; take a side of {long:g} or collision.knudsen = {thin:.2g}, for three"
         )
     elif found.folds < FOLDS:
-        later = f"time.end = {_rounded_up(found.wanted):g}" if isfinite(found.wanted) else "a longer box"
+        later = f"take time.end = {_rounded_up(found.wanted):g}, for {FOLDS:g}, or a longer box"
+        if not isfinite(found.wanted):
+            later = f"they do not come to {FOLDS:g} at any time; take a longer box"
         yield (
             f"clusters have hardly begun at the end: {found.folds:.3g} e-foldings of the fastest wave until t = "
-            f"{job.time.end:g}; take {later}, for {FOLDS:g}, or a longer box"
+            f"{job.time.end:g}; {later}"
         )

@@ -51,23 +51,24 @@ def test_cells_wider_than_a_mean_free_path(check):
 
 @pytest.mark.parametrize("kind", ["maxwell", "far-field"])
 def test_a_side_faster_than_the_grid_carries(check, kind):
-    side = {"kind": kind, "temperature": 1.0, "velocity": [0.0, 2.4]} | ({} if kind == "maxwell" else {"density": 1.0})
+    """Held only because its mean lies near a node; half-way between two the grid needs 0.26 h^2 and not 0.16."""
+    side = {"kind": kind, "temperature": 1.0, "velocity": [0.0, 3.2]} | ({} if kind == "maxwell" else {"density": 1.0})
     tables = make(space={"cells": [40], "boundary": {"x": {"lower": side, "upper": "specular"}}})
-    tables["velocity"] = {"points": [16, 8], "half_width": 5.0}
-    (line,) = check(tables)
-    assert f"{'the wall at' if kind == 'maxwell' else 'the gas from'} x-lower moves at Mach 1.7 (speed 2.4)" in line
-    assert "faster than the velocity grid carries (Mach 1.21)" in line
-    points = re.search(r"velocity.points = (\[.*\])", line).group(1)
-    assert check(tables, "verdict", "--set", f"velocity.points={points}") == []
-
-
-def test_a_state_that_starts_only_because_its_mean_is_near_a_node(check):
-    tables = make(velocity={"points": [17, 17], "half_width": 6.0}, initial={"state": "uniform", "velocity": [0, 0.0]})
-    assert check(tables) == []
     tables["velocity"] = {"points": [9, 9], "half_width": 6.0}
-    tables["initial"]["velocity"] = [0.0, 2.6]
-    found = [line for line in check(tables) if "the initial state moves at Mach 1.84" in line]
-    assert len(found) == 1, check(tables)
+    lines = [line for line in check(tables) if "moves" in line]
+    assert len(lines) == 1, check(tables)
+    what = "the wall at" if kind == "maxwell" else "the gas from"
+    assert f"{what} x-lower moves at Mach 2.26 (speed 3.2)" in lines[0]
+    assert "faster than the velocity grid carries (Mach 1.08): its T_g is 0.163" in lines[0]
+    points = re.search(r"velocity.points = (\[.*\])", lines[0]).group(1)
+    assert not [line for line in check(tables, "verdict", "--set", f"velocity.points={points}") if "moves" in line]
+
+
+def test_a_state_faster_than_the_grid_carries(check):
+    tables = make(velocity={"points": [9, 9], "half_width": 6.0}, initial={"state": "uniform", "velocity": [0.0, 2.6]})
+    assert [line for line in check(tables) if "the initial state moves at Mach 1.84" in line]
+    tables["initial"]["velocity"] = [0.0, 1.0]
+    assert not [line for line in check(tables) if "moves" in line]
 
 
 NOISE = {"state": "random-density", "seed": 3, "low": 0.5}
@@ -103,6 +104,6 @@ def test_a_run_that_ends_before_clusters_form(check):
 def test_a_boltzmann_gas_is_looked_at_too(check):
     tables = make(
         initial=NOISE, velocity={"points": [16, 16], "half_width": 6.0},
-        collision={"operator": "boltzmann", "knudsen": 1.0, "restitution": 0.9},
+        collision={"operator": "boltzmann", "knudsen": 1.0, "restitution": 0.9, "coarse": True},
     )  # fmt: skip
     assert "critical wavelengths of shear" in check(tables, "linear stability")[0]

@@ -121,7 +121,7 @@ def small_jobs(draw):
     if operator in ("granular-es-bgk", "boltzmann"):
         collision["restitution"] = draw(st.sampled_from([0.9, 1.0]))
     if operator == "boltzmann":
-        collision["exponent"] = draw(st.sampled_from([0.0, 1.0]))
+        collision |= {"exponent": draw(st.sampled_from([0.0, 1.0])), "coarse": True}
     elif operator != "none":
         collision |= law
     same = operator == "boltzmann"
