@@ -168,6 +168,7 @@ def test_small_knudsen_numbers_lead_to_euler(knudsen):
             "space": {"cells": [24]},
             "velocity": {"points": [24, 24], "half_width": 8.0},
             "collision": {"operator": "boltzmann", "knudsen": knudsen, "restitution": 1.0, "penalise": True},
+            "fluid": {"enabled": True},
             "initial": {"state": "wave", "density_amplitude": 0.1, "velocity_amplitude": [0.1, 0.0]},
             "time": {"end": 0.1},
         }

@@ -120,7 +120,8 @@ def factor(name: str, job: Job, units: Units) -> float:
     return {
         "time": units.time, "dt": units.time,
         "density": density, "temperature": velocity**2, "stress": velocity**2, "velocity": velocity,
-        "heat_flux": density * velocity**3, "pressure": density * velocity**2, "shear_stress": density * velocity**2,
+        "heat_flux": density * velocity**3, "work": density * velocity**3, "pressure": density * velocity**2,
+        "pressure_tensor": density * velocity**2, "shear_stress": density * velocity**2,
         "omega": velocity if rescaled_grid else 1.0, "x": density if rescaled_grid else density / velocity,
         "mass": density * volume, "energy": density * velocity**2 * volume,
         "fluid_energy": density * velocity**2 * volume, "dissipated_energy": density * velocity**2 * volume,
