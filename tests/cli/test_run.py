@@ -254,7 +254,7 @@ def test_the_loop_as_a_library():
     after = simulation.moments()
     assert after["density"].sum() == pytest.approx(before["density"].sum(), rel=1e-14)
     assert np.abs(after["density"] - before["density"]).max() > 1e-4
-    with pytest.raises(ValueError, match="must be positive"):
+    with pytest.raises(ValueError, match="no positive, finite density and temperature"):
         Simulation(job, initial=lambda x, y: (x - 0.5, [0.0, 0.0, 0.0], 1.0))
 
 
