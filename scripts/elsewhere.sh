@@ -115,17 +115,17 @@ scripts=/usr/share/debootstrap/scripts
     settings_of_apt_and_pip
     inside apt-get -q update
     inside apt-get -q install -y --no-install-recommends git make
-    git clone --no-hardlinks . "$root/root/rvm_mpi"
+    git clone --no-hardlinks . "$root/srv/rvm_mpi"
 } >"$logs/$system-root.log" 2>&1 </dev/null || fail "no root: the end of runs/elsewhere/$system-root.log says why"
 
-commit=$(git -C "$root/root/rvm_mpi" rev-parse --short HEAD)
+commit=$(git -C "$root/srv/rvm_mpi" rev-parse --short HEAD)
 status=0 answers=()
 TIMEFORMAT='%R %U %S'
 for target in "${targets[@]}"; do
     log=$logs/$system-$target.log
     say "make $target: runs/elsewhere/$system-$target.log"
     result=passed
-    took=$({ time inside make -C /root/rvm_mpi "$target" >"$log" 2>&1; } 2>&1) || result=FAILED
+    took=$({ time inside make -C /srv/rvm_mpi "$target" >"$log" 2>&1; } 2>&1) || result=FAILED
     [ "$result" = passed ] || status=1
     minutes=$(awk '{ printf "%.1f min (%.1f min of processors)", $1 / 60, ($2 + $3) / 60 }' <<<"${took##*$'\n'}")
     counts=$(grep -E '^=+ .* in [0-9.]+s' "$log" | tail -n 1 | sed -E 's/^=+ | in .*//g' || true)
@@ -133,7 +133,7 @@ for target in "${targets[@]}"; do
     grep -E '^(FAILED|ERROR) ' "$log" || true
 done
 
-say "$system at $commit, $(inside /root/rvm_mpi/.venv/bin/python -c '
+say "$system at $commit, $(inside /srv/rvm_mpi/.venv/bin/python -c '
 import platform, numba, numpy
 from mpi4py import MPI
 from petsc4py import PETSc
