@@ -46,12 +46,12 @@ def test_nodes_are_tiles_that_cut_no_more_than_rows(a, b, along, up, cells, seed
         rows, columns = np.nonzero(np.reshape(node_at, split[::-1]) == node)
         height, width = np.ptp(rows) + 1, np.ptp(columns) + 1
         assert width * height == ranks == rows.size
-    # never worse than the tile this was made of, nor than the order in which ranks are dealt
+    # never worse than the tile this was made of, nor than rows, the order in which ranks are numbered
     tiles = [column // a + row // b * along for row in range(split[1]) for column in range(split[0])]
     found = cut(split, cells, node_at)
     assert found <= cut(split, cells, tiles)
     assume(split[0] % ranks == 0 or ranks % split[0] == 0)
-    assert found <= cut(split, cells, node_of)
+    assert found <= cut(split, cells, [rank // ranks for rank in range(len(node_of))])
 
 
 def test_sixty_four_ranks_of_a_node_are_a_square():
