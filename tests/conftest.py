@@ -9,6 +9,11 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import pytest
+from hypothesis import HealthCheck, settings
+
+# a busy machine draws its cases slowly, too
+settings.register_profile("slow machines", suppress_health_check=[HealthCheck.too_slow], deadline=None)
+settings.load_profile("slow machines")
 
 ROOT = Path(__file__).resolve().parent.parent
 # the system mpi4py's, whatever comes first on the PATH

@@ -178,7 +178,7 @@ def test_what_enters_has_the_moments_of_the_sides_state(points, seed, side, temp
         state, mass = s.states[c], found[c, 0]
         inward, t = s.sign * state[1 + n], state[4]
         exact = half_moments(inward, t)
-        # half the nodes miss h^2/24 M'(0) of the half-space's flux, and with a node at zero h^2/12; h^2 is at most t here
+        # half the nodes miss h^2/24 M'(0) of the half-space's flux, with a node at zero h^2/12; h^2 is at most t here
         slope = np.exp(-0.5 * inward**2 / t) / np.sqrt(2 * np.pi * t)
         missed = 1.5 / (12 if s.grid.points[n] % 2 else 24) * t * slope / exact[0]
         resolved = own >= h[n] ** 2 and abs(inward) < 0.5 * np.sqrt(t)
