@@ -24,10 +24,10 @@ import pyfftw
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from rvm_mpi import Job, Simulation
-from rvm_mpi.bench import _multiply_add
 from rvm_mpi.collisions.boltzmann import BATCH_NODES, add_pairs
-from rvm_mpi.kernels import kernel
-from rvm_mpi.simd import LANES, load, store
+from rvm_mpi.commands.bench import _multiply_add
+from rvm_mpi.compiling.declare import kernel
+from rvm_mpi.compiling.simd import LANES, load, store
 
 GRIDS = [(n,) * d for d, sizes in ((1, (16, 32, 64)), (2, (16, 32, 64)), (3, (8, 12, 16))) for n in sizes]
 LARGE = [(24,) * 3, (32,) * 3]

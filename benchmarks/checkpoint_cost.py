@@ -16,8 +16,9 @@ from pathlib import Path
 import numpy as np
 from mpi4py import MPI
 
-from rvm_mpi import Simulation, checkpoint
-from rvm_mpi.job import Job
+from rvm_mpi import Simulation
+from rvm_mpi.job.job import Job
+from rvm_mpi.output import checkpoint
 
 TURNS = 7
 JOB = {

@@ -17,7 +17,7 @@ from llvmlite import ir
 from numba.core import types
 from numba.extending import intrinsic
 
-from rvm_mpi import simd
+from rvm_mpi.compiling import simd
 
 SINGLES = ir.VectorType(ir.FloatType(), simd.LANES)
 
@@ -58,7 +58,7 @@ simd.load, simd.store = load, store
 simd.KERNEL["cache"] = False
 
 from rvm_mpi import Job, Simulation  # noqa: E402  the kernels take what simd has when they are imported
-from rvm_mpi.domain import Domain, aligned  # noqa: E402
+from rvm_mpi.grid.domain import Domain, aligned  # noqa: E402
 
 JOB = {
     "collision": {"operator": "granular-es-bgk", "knudsen": 0.01, "restitution": 0.99},

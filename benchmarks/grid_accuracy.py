@@ -1,4 +1,4 @@
-"""What viscosity and heat conduction are worth on a velocity grid: the tables of `rvm_mpi/accuracy_tables.py`.
+"""What viscosity and heat conduction are worth on a velocity grid: the tables of `rvm_mpi/advice/accuracy_tables.py`.
 
     python benchmarks/grid_accuracy.py               (prints them; half an hour, most of it for d = 3)
     python benchmarks/grid_accuracy.py --write       (and writes them into the package)
@@ -34,7 +34,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from rvm_mpi.collisions.boltzmann import BoltzmannOperator
-from rvm_mpi.collisions.boltzmann_weights import SUPPORT, kernel_scale
+from rvm_mpi.collisions.weights import SUPPORT, kernel_scale
 from rvm_mpi.kinetic_theory import dissipation_coefficient, sphere_area
 from tests.verification.navier_stokes import conductivity, viscosity
 

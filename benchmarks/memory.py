@@ -48,10 +48,10 @@ def of_rank(job: dict) -> None:
     import h5py  # noqa: F401
     from petsc4py import PETSc  # noqa: F401
 
-    from rvm_mpi import estimates
-    from rvm_mpi.control import Control
-    from rvm_mpi.job import Job
-    from rvm_mpi.runlock import Claim
+    from rvm_mpi.advice import estimates
+    from rvm_mpi.job.job import Job
+    from rvm_mpi.run.control import Control
+    from rvm_mpi.run.lock import Claim
     from rvm_mpi.simulation import Run, Simulation
 
     comm = MPI.COMM_WORLD

@@ -86,9 +86,9 @@ def watched_run(job: dict, log: Log):
     """The loop of `rvm run` with its parts timed; the simulation when it is done."""
     from mpi4py import MPI
 
-    from rvm_mpi.control import Control
-    from rvm_mpi.job import Job
-    from rvm_mpi.runlock import Claim
+    from rvm_mpi.job.job import Job
+    from rvm_mpi.run.control import Control
+    from rvm_mpi.run.lock import Claim
     from rvm_mpi.simulation import Run, Simulation
 
     class Watched(MPI.Intracomm):
@@ -122,7 +122,7 @@ def replayed(sim, calls: list[tuple], kind: str) -> float:
     """Seconds of the calls of one kind, made again without any work between them: the least of some repeats."""
     from mpi4py import MPI
 
-    from rvm_mpi.domain import Domain
+    from rvm_mpi.grid.domain import Domain
 
     comm, least = MPI.COMM_WORLD, math.inf
     for _ in range(REPEATS):
@@ -155,8 +155,8 @@ def sent(domain, calls: list[tuple]) -> dict[str, float]:
 def measure(arguments: argparse.Namespace) -> None:
     from mpi4py import MPI
 
-    from rvm_mpi import domain as domain_module
-    from rvm_mpi import placement
+    from rvm_mpi.grid import domain as domain_module
+    from rvm_mpi.grid import placement
 
     comm = MPI.COMM_WORLD
     if arguments.split:
@@ -290,7 +290,7 @@ def work(parts: Parts, wide: int, high: int, nodes: int) -> tuple[float, float]:
 
 def on_cluster(parts: Parts, near: Network, cluster: Cluster, reduced: dict, cells, velocity, ranks: int) -> dict:
     """Seconds of a step and its parts on the rank that has most, none of them overlapping."""
-    from rvm_mpi.domain import partition
+    from rvm_mpi.grid.domain import partition
 
     px, py = partition(tuple(cells), ranks)
     wide, high = -(-cells[0] // px), -(-cells[1] // py)
@@ -317,8 +317,8 @@ def on_cluster(parts: Parts, near: Network, cluster: Cluster, reduced: dict, cel
 
 def possible(cells, most: float) -> list[int]:
     """Numbers of ranks, about four a decade, that can share the cells."""
-    from rvm_mpi.domain import largest_ranks, partition
-    from rvm_mpi.job import JobError
+    from rvm_mpi.grid.domain import largest_ranks, partition
+    from rvm_mpi.job.job import JobError
 
     found = {1}
     for wanted in np.geomspace(1, min(most, largest_ranks(tuple(cells))), 24):

@@ -17,14 +17,14 @@ from typing import Any
 import numpy as np
 
 from rvm_mpi.collisions.es_bgk import gaussian_moments
-from rvm_mpi.domain import aligned
-from rvm_mpi.kernels import kernel
+from rvm_mpi.compiling.declare import kernel
+from rvm_mpi.compiling.simd import splat, store
+from rvm_mpi.grid.domain import aligned
+from rvm_mpi.grid.velocity import VelocityGrid
 from rvm_mpi.kinetic import drift
 from rvm_mpi.kinetic.conservation import weighted_sums
 from rvm_mpi.kinetic.transport import upper_fluxes
-from rvm_mpi.simd import splat, store
-from rvm_mpi.stage import Work, kernel_grid, mix
-from rvm_mpi.velocity import VelocityGrid
+from rvm_mpi.step.sweep import Work, kernel_grid, mix
 
 SOURCE = Path(__file__).with_name("stage_bound.c")
 COMPILE = ["cc", "-O3", "-march=native", "-mprefer-vector-width=512", "-fopenmp-simd", "-fno-math-errno"]

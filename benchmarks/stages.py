@@ -33,7 +33,11 @@ AVX2 = "+sse4.2,+popcnt,+avx,+avx2,+fma,+bmi,+bmi2,+lzcnt,+f16c,+movbe"
 OPERATIONS = {"corrected": 121, "uncorrected": 109}
 #: what is timed beside its twin in C (stage_bound.py): the grids whose slabs are whole vectors in each half
 BOUND = ("24x24x8", "16x16x16", "24x24x24", "32x32x32")
-MEASURE = "import sys, json; from rvm_mpi.bench import run_bench; run_bench(*json.loads(sys.argv[1]), as_json=True)"
+MEASURE = """
+import sys, json
+from rvm_mpi.commands.bench import run_bench
+run_bench(*json.loads(sys.argv[1]), as_json=True)
+"""
 
 
 def measure(cells: tuple[int, ...], velocity: tuple[int, ...], processor: str, cache: str) -> dict[str, float]:

@@ -17,12 +17,13 @@ from pathlib import Path
 
 from mpi4py import MPI
 
-from rvm_mpi import estimates, simulation
-from rvm_mpi.bench import _job
-from rvm_mpi.domain import Domain
+from rvm_mpi import simulation
+from rvm_mpi.advice import estimates
+from rvm_mpi.commands.bench import _job
 from rvm_mpi.fluid import FluidSystem
-from rvm_mpi.job import Job
-from rvm_mpi.stepping import KineticStepper
+from rvm_mpi.grid.domain import Domain
+from rvm_mpi.job.job import Job
+from rvm_mpi.step.stepper import KineticStepper
 
 PARTS = {
     "sweep": [],

@@ -15,7 +15,8 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from rvm_mpi import Job, Simulation, stepping
+from rvm_mpi import Job, Simulation
+from rvm_mpi.step import stepper as stepping
 from tests.verification.kinetic_cases import table
 
 ROOT = Path(__file__).resolve().parent.parent

@@ -13,8 +13,9 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 import numpy as np
 from numba import njit
 
-from rvm_mpi import Job, Simulation, stage
-from rvm_mpi.domain import aligned
+from rvm_mpi import Job, Simulation
+from rvm_mpi.grid.domain import aligned
+from rvm_mpi.step import sweep as stage
 
 POINTS = [24, 24, 8]
 JOB = {

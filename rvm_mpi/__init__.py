@@ -8,13 +8,13 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from rvm_mpi.job import Job, JobError
+    from rvm_mpi.job.job import Job, JobError
     from rvm_mpi.simulation import Simulation
 
 __version__ = "0.1.0"
 __all__ = ["Job", "JobError", "Simulation", "__version__"]
 
-_HOMES = {"Job": "rvm_mpi.job", "JobError": "rvm_mpi.job", "Simulation": "rvm_mpi.simulation"}
+_HOMES = {"Job": "rvm_mpi.job.job", "JobError": "rvm_mpi.job.job", "Simulation": "rvm_mpi.simulation"}
 
 
 def __getattr__(name: str) -> Any:

@@ -2,7 +2,7 @@
 
 import sys
 
-from rvm_mpi.cli import main
+from rvm_mpi.commands.main import main
 
 if __name__ == "__main__":
     sys.exit(main())

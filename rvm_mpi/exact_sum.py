@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from rvm_mpi.kernels import kernel
+from rvm_mpi.compiling.declare import kernel
 
 if TYPE_CHECKING:
     from mpi4py import MPI

@@ -31,7 +31,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from rvm_mpi.job_schema import Collision
+    from rvm_mpi.job.schema import Collision
 
 PATH_PER_VISCOSITY = {2: sqrt(pi / 2), 3: 16 / (5 * sqrt(2 * pi))}
 """c_d of the mean free path c_d mu/(rho sqrt(T)), by velocity dimensions."""

@@ -22,24 +22,26 @@ from typing import Any
 
 import numpy as np
 
-from rvm_mpi import checkpoint, kernels, postmortem, rundir
-from rvm_mpi.accuracy import GridWatch
-from rvm_mpi.checkpoint import Checkpoint
-from rvm_mpi.control import Control
-from rvm_mpi.domain import Domain
-from rvm_mpi.estimates import COLLAPSED, check_sides, stretched_time
+from rvm_mpi.advice.accuracy import GridWatch
+from rvm_mpi.advice.estimates import COLLAPSED, check_sides, stretched_time
+from rvm_mpi.compiling import declare as kernels
 from rvm_mpi.exact_sum import exact_sums
-from rvm_mpi.failures import ENDED, on_rank_0
 from rvm_mpi.fluid import FluidSystem
 from rvm_mpi.fluid.euler import PositivityLost
-from rvm_mpi.job import Job, JobError
-from rvm_mpi.launch import LaunchError, again, launched
-from rvm_mpi.results import DiskFailure
-from rvm_mpi.runlock import Claim
+from rvm_mpi.grid.domain import Domain
+from rvm_mpi.job.job import Job, JobError
+from rvm_mpi.output import checkpoint, rundir
+from rvm_mpi.output.checkpoint import Checkpoint
+from rvm_mpi.output.results import DiskFailure
+from rvm_mpi.run import postmortem
+from rvm_mpi.run.control import Control
+from rvm_mpi.run.failures import ENDED, on_rank_0
+from rvm_mpi.run.launch import LaunchError, again, launched
+from rvm_mpi.run.lock import Claim
+from rvm_mpi.run.terminal import tell
+from rvm_mpi.run.watch import Watch
 from rvm_mpi.states import macroscopic_state
-from rvm_mpi.stepping import KineticStepper, NumericalFailure, StepReport
-from rvm_mpi.terminal import tell
-from rvm_mpi.watch import Watch
+from rvm_mpi.step.stepper import KineticStepper, NumericalFailure, StepReport
 
 #: a step may pass the Courant number by this factor before it is taken again, shorter
 SLACK = 1.02
@@ -572,7 +574,7 @@ def _check_same_on_all_ranks(job: Job, output: Path, restart: bool, overwrite: b
 def _compiled_before() -> bool:
     """Whether the largest kernel is on disk."""
     directory = kernels.kept_in()
-    return directory is not None and any(directory.glob("rvm_mpi.stage.sweep-*.code"))
+    return directory is not None and any(directory.glob("rvm_mpi.step.sweep.sweep-*.code"))
 
 
 def _resumed(job: Job, output: Path) -> tuple[Simulation, list[str]]:
@@ -586,7 +588,7 @@ class Run:
     """A simulation with its run directory: snapshots, history, checkpoints, log."""
 
     def __init__(self, simulation: Simulation, claim: Claim, restart: bool, overwrite: bool, quiet: bool) -> None:
-        from rvm_mpi.results import FieldsFile, History, Xdmf
+        from rvm_mpi.output.results import FieldsFile, History, Xdmf
 
         self.simulation = sim = simulation
         self.claim, self.comm = claim, sim.domain.comm
@@ -623,7 +625,7 @@ class Run:
 
     def _check_restart(self) -> None:
         """Whether what was written before the checkpoint is there and fits; changes nothing."""
-        from rvm_mpi.results import check_times, read_history
+        from rvm_mpi.output.results import check_times, read_history
 
         sim = self.simulation
         end = sim.job.time.end
@@ -664,7 +666,7 @@ class Run:
             tell(line)
 
     def _wall_layout(self) -> dict[str, Any]:
-        from rvm_mpi.results import Layout
+        from rvm_mpi.output.results import Layout
 
         sim, layout = self.simulation, {}
         nx, ny = sim.domain.cells
@@ -700,7 +702,7 @@ class Run:
 
     def go(self, control: Control) -> int:
         """Step to the end, or to where the run is told to stop; the exit status."""
-        from rvm_mpi.progress import Progress
+        from rvm_mpi.run.progress import Progress
 
         sim = self.simulation
         progress = None
@@ -797,7 +799,7 @@ class Run:
             return f"; no post-mortem could be written: {error.strerror}"
 
     def _last_rows(self) -> dict[str, Any]:
-        from rvm_mpi.results import read_history
+        from rvm_mpi.output.results import read_history
 
         try:
             return {name: column[-postmortem.ROWS :] for name, column in read_history(self.output).items()}

@@ -13,12 +13,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from rvm_mpi.job_schema import INITIAL_STATES, Bkw, Section, TwoGaussians
-from rvm_mpi.job_text import JobError
+from rvm_mpi.job.schema import INITIAL_STATES, Bkw, Section, TwoGaussians
+from rvm_mpi.job.text import JobError
 from rvm_mpi.units import power
 
 if TYPE_CHECKING:
-    from rvm_mpi.job import Job
+    from rvm_mpi.job.job import Job
 
 Fields = tuple[np.ndarray, np.ndarray, np.ndarray]
 SMALLEST_WAVE = 1e-10
@@ -243,8 +243,8 @@ def from_run(state: Any, block: Block) -> Fields:
 
 def _snapshot(state: Any, job: Job) -> Fields:
     """Density (ny, nx), velocity (ny, nx, d), temperature (ny, nx) of a run on this job's whole grid."""
-    from rvm_mpi.job_checks import check_source
-    from rvm_mpi.results import open_run
+    from rvm_mpi.job.checks import check_source
+    from rvm_mpi.output.results import open_run
 
     where = f'initial.run "{state.run}"'
     check_source(job, job.name)

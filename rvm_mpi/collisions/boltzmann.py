@@ -27,9 +27,9 @@ from typing import Any
 import numpy as np
 import pyfftw
 
-from rvm_mpi.collisions.boltzmann_weights import SUPPORT, Rows, block_kind, compute_weights, kernel_scale
-from rvm_mpi.kernels import kernel, part
-from rvm_mpi.simd import LANES, apart, collect, distribute, load, splat, spread, store, together
+from rvm_mpi.collisions.weights import SUPPORT, Rows, block_kind, compute_weights, kernel_scale
+from rvm_mpi.compiling.declare import kernel, part
+from rvm_mpi.compiling.simd import LANES, apart, collect, distribute, load, splat, spread, store, together
 
 #: nodes of all cells in a lane of a batch: short enough for the cache, long enough for calls to be cheap
 BATCH_NODES = 2048

@@ -13,11 +13,11 @@ import math
 
 import numpy as np
 
-from rvm_mpi.fit import ROOM
-from rvm_mpi.kernels import part
+from rvm_mpi.compiling.declare import part
+from rvm_mpi.compiling.simd import exponential, leading, load, minimum, splat, store, total, where_positive
+from rvm_mpi.grid.velocity import VALID, Y, Z
 from rvm_mpi.kinetic.conservation import about_origin, solve
-from rvm_mpi.simd import exponential, leading, load, minimum, splat, store, total, where_positive
-from rvm_mpi.velocity import VALID, Y, Z
+from rvm_mpi.step.fit import ROOM
 
 #: relative mismatch of the ten moments at which Newton's iteration rests
 TOLERANCE = 2e-13

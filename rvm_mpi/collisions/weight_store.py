@@ -20,9 +20,9 @@ import scipy
 from llvmlite.binding import get_host_cpu_name
 
 from rvm_mpi.cache import cache_directory, write_whole
-from rvm_mpi.collisions import boltzmann_weights
-from rvm_mpi.collisions.boltzmann_weights import Rows, compute_weights
-from rvm_mpi.job_text import JobError, one_line
+from rvm_mpi.collisions import weights as boltzmann_weights
+from rvm_mpi.collisions.weights import Rows, compute_weights
+from rvm_mpi.job.text import JobError, one_line
 
 #: bytes from which weights are stored: these take half a second and more to make, and a thirtieth of that to read
 STORED_FROM = 8_000_000

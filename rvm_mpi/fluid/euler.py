@@ -25,14 +25,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from rvm_mpi.compiling.declare import kernel, part
+from rvm_mpi.compiling.simd import LANES, load, maximum, minimum, splat, store, where_positive
 from rvm_mpi.fluid.walls import GHOSTS, Side
 from rvm_mpi.fluid.weno import FLAT, weno5
-from rvm_mpi.kernels import kernel, part
-from rvm_mpi.simd import LANES, load, maximum, minimum, splat, store, where_positive
 
 if TYPE_CHECKING:
-    from rvm_mpi.domain import Domain
-    from rvm_mpi.job import Job
+    from rvm_mpi.grid.domain import Domain
+    from rvm_mpi.job.job import Job
 
 #: density and internal energy that a face leaves of the first-order update, at least
 KEPT = 1e-2

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from rvm_mpi.kernels import kernel
+from rvm_mpi.compiling.declare import kernel
 
 if TYPE_CHECKING:
-    from rvm_mpi.job import Boundary
+    from rvm_mpi.job.job import Boundary
 
 #: ghost layers of the fluid's state: the reach of WENO5
 GHOSTS = 3

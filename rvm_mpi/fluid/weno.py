@@ -8,7 +8,7 @@ of them is relative to the gas, not to the unit that its density is measured in.
 
 from __future__ import annotations
 
-from rvm_mpi.kernels import part
+from rvm_mpi.compiling.declare import part
 
 # No fused multiply-adds in the fluid's kernels: which product of a*b + c*d is fused is the compiler's choice, and would
 # tell left from right and x from y in the last bit.

@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import math
 
-from rvm_mpi.kernels import part
-from rvm_mpi.simd import exponential, first_lane, load, splat, spread, store, total
-from rvm_mpi.velocity import Y, Z
+from rvm_mpi.compiling.declare import part
+from rvm_mpi.compiling.simd import exponential, first_lane, load, splat, spread, store, total
+from rvm_mpi.grid.velocity import Y, Z
 
 #: sums kept of a block: 1, x, y, z, xx, xy, xz, yy, yz, zz, x|xi|^2, y|xi|^2, z|xi|^2, |xi|^4
 SUMS = 14

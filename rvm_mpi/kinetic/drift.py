@@ -17,8 +17,8 @@ from math import comb
 
 import numpy as np
 
-from rvm_mpi.kernels import part
-from rvm_mpi.simd import (
+from rvm_mpi.compiling.declare import part
+from rvm_mpi.compiling.simd import (
     LEAST,
     load,
     maximum,
@@ -32,7 +32,7 @@ from rvm_mpi.simd import (
     van_leer3,
     where_positive,
 )
-from rvm_mpi.velocity import TAPS, Y_FACE, Y_LEAST, Y_OPEN, Z_FACE, Z_LEAST, Z_OPEN, Z_TAPS, Y, Z
+from rvm_mpi.grid.velocity import TAPS, Y_FACE, Y_LEAST, Y_OPEN, Z_FACE, Z_LEAST, Z_OPEN, Z_TAPS, Y, Z
 
 #: order of the linear reconstructions by their name in the job file
 ORDERS = {"kappa": 3, "seventh-order": 7, "seventh-order-positive": 7}

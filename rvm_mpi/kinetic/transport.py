@@ -8,9 +8,9 @@ together.
 
 from __future__ import annotations
 
-from rvm_mpi.kernels import part
-from rvm_mpi.simd import load, prefetch, splat, store, total, van_leer, van_leer_newton, where_positive
-from rvm_mpi.velocity import Y, Z
+from rvm_mpi.compiling.declare import part
+from rvm_mpi.compiling.simd import load, prefetch, splat, store, total, van_leer, van_leer_newton, where_positive
+from rvm_mpi.grid.velocity import Y, Z
 
 #: nodes of a slab whose face values are kept at a time, few enough for the nearest cache
 PIECE = 128

@@ -17,8 +17,8 @@ import math
 from typing import NamedTuple
 
 from rvm_mpi.collisions.es_bgk import fit_axis, smallest_variance
-from rvm_mpi.fit import ROOM
-from rvm_mpi.kernels import kernel, part
+from rvm_mpi.compiling.declare import kernel, part
+from rvm_mpi.step.fit import ROOM
 
 SPECULAR, MAXWELL, FAR_FIELD, OUTFLOW, VACUUM = range(5)
 KINDS = {

@@ -203,7 +203,7 @@ def test_version_and_help(place):
 
 def test_the_package_imports_no_mpi():
     code = (
-        "import sys, rvm_mpi, rvm_mpi.cli, rvm_mpi.job\n"
+        "import sys, rvm_mpi, rvm_mpi.commands.main, rvm_mpi.job.job\n"
         "print([m for m in ('mpi4py', 'petsc4py', 'numba', 'h5py') if m in sys.modules])"
     )
     done = subprocess.run(
@@ -223,7 +223,7 @@ def spoken(done):
 # start-up: what mpirun and the imports need, and mpirun to end the other ranks when rank 0 has left
 START_UP = """
 import os, time
-import rvm_mpi.cli, rvm_mpi.job, rvm_mpi.estimates
+import rvm_mpi.commands.main, rvm_mpi.job.job, rvm_mpi.advice.estimates
 if os.environ["OMPI_COMM_WORLD_RANK"] != "0":
     time.sleep(20)
 raise SystemExit(2)
@@ -269,7 +269,7 @@ def test_one_rank_alone_sees_the_error(mpirun, place):
     program = place / "program.py"
     program.write_text(
         "import os, sys\n"
-        "from rvm_mpi.cli import main\n"
+        "from rvm_mpi.commands.main import main\n"
         "sys.argv[2] = 'job.toml' if os.environ['OMPI_COMM_WORLD_RANK'] == '0' else 'lost.toml'\n"
         "sys.exit(main(sys.argv[1:]))\n"
     )
@@ -292,7 +292,7 @@ def test_an_exception_on_one_rank_ends_all(mpirun, place, failing):
         "import sys\n"
         "from pathlib import Path\n"
         "from mpi4py import MPI\n"
-        "from rvm_mpi import failures\n"
+        "from rvm_mpi.run import failures\n"
         "try:\n"
         f"    if MPI.COMM_WORLD.rank == {failing}:\n"
         "        raise FloatingPointError('pressure lost in\\n cell (3, 4)')\n"
@@ -310,7 +310,7 @@ def test_an_exception_on_one_rank_ends_all(mpirun, place, failing):
 
 def test_debug_prints_the_traceback(place):
     code = (
-        "from rvm_mpi import failures\n"
+        "from rvm_mpi.run import failures\n"
         "try:\n"
         "    1 / 0\n"
         "except Exception as error:\n"
@@ -335,8 +335,8 @@ def test_a_wrong_request_found_late_still_ends_all_ranks(mpirun, place):
     program.write_text(
         "import sys\n"
         "from mpi4py import MPI\n"
-        "from rvm_mpi import failures\n"
-        "from rvm_mpi.job import JobError\n"
+        "from rvm_mpi.run import failures\n"
+        "from rvm_mpi.job.job import JobError\n"
         "try:\n"
         "    if MPI.COMM_WORLD.rank >= int(sys.argv[1]):\n"
         "        raise JobError('does not fit')\n"

@@ -6,8 +6,8 @@ import h5py
 import numpy as np
 import pytest
 
-from rvm_mpi.cli import main
-from rvm_mpi.job import Job
+from rvm_mpi.commands.main import main
+from rvm_mpi.job.job import Job
 from rvm_mpi.simulation import run_job
 
 TABLES = {

@@ -6,10 +6,10 @@ from datetime import datetime, timezone
 
 import numpy as np
 
-from rvm_mpi import rundir
-from rvm_mpi.cli import main
-from rvm_mpi.job import Job
-from rvm_mpi.results import History
+from rvm_mpi.commands.main import main
+from rvm_mpi.job.job import Job
+from rvm_mpi.output import rundir
+from rvm_mpi.output.results import History
 
 JOB = Job.from_dict(
     {

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from rvm_mpi.job import Job
+from rvm_mpi.job.job import Job
 
 if sys.version_info >= (3, 11):
     import tomllib

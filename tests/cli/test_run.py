@@ -11,10 +11,11 @@ import numpy as np
 import pytest
 import tomli_w
 
-from rvm_mpi import Simulation, rundir
-from rvm_mpi.cli import main
-from rvm_mpi.job import Job
-from rvm_mpi.results import open_run, read_history
+from rvm_mpi import Simulation
+from rvm_mpi.commands.main import main
+from rvm_mpi.job.job import Job
+from rvm_mpi.output import rundir
+from rvm_mpi.output.results import open_run, read_history
 
 JOB = {
     "title": "tiny",

@@ -9,9 +9,10 @@ import time
 import pytest
 from conftest import ROOT
 
-from rvm_mpi import launch, rundir
-from rvm_mpi.job_text import JobError
-from rvm_mpi.launch import Launch, launched
+from rvm_mpi.job.text import JobError
+from rvm_mpi.output import rundir
+from rvm_mpi.run import launch
+from rvm_mpi.run.launch import Launch, launched
 
 pytestmark = pytest.mark.timeout(300)
 
@@ -237,8 +238,8 @@ def test_a_run_that_was_killed(place):
     ids=str,
 )
 def test_a_step_that_leads_nowhere_is_refused_before(place, keys, cure):
-    from rvm_mpi.estimates import check_first_step
-    from rvm_mpi.job import Job
+    from rvm_mpi.advice.estimates import check_first_step
+    from rvm_mpi.job.job import Job
 
     job = Job.from_dict({"space": {"cells": [4]}, "velocity": {"points": [8, 8]}, "collision": keys,
                          "initial": {"state": "uniform"}, "time": {"end": 1.0}})  # fmt: skip

@@ -4,8 +4,8 @@ import re
 
 import pytest
 
-from rvm_mpi.cli import main
-from rvm_mpi.job import Job
+from rvm_mpi.commands.main import main
+from rvm_mpi.job.job import Job
 
 WALL = {"kind": "maxwell", "temperature": 1.0, "velocity": [0.0, 0.3]}
 

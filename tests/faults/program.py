@@ -24,9 +24,11 @@ import sys
 import time
 from pathlib import Path
 
-from rvm_mpi import checkpoint, results, rundir, simulation, stepping
-from rvm_mpi.cli import main
-from rvm_mpi.job import Job
+from rvm_mpi import simulation
+from rvm_mpi.commands.main import main
+from rvm_mpi.job.job import Job
+from rvm_mpi.output import checkpoint, results, rundir
+from rvm_mpi.step import stepper as stepping
 
 POINTS = {
     "read": (Job, "from_file"),

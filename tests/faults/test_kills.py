@@ -8,7 +8,7 @@ import time
 import pytest
 from faults.faulty import Started, assert_readable, assert_same, descendants, kill, run, wait_for
 
-from rvm_mpi import rundir
+from rvm_mpi.output import rundir
 
 pytestmark = pytest.mark.timeout(900)
 

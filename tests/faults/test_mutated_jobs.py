@@ -14,8 +14,8 @@ import tomli_w
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from rvm_mpi.cli import main
-from rvm_mpi.job_text import parse_toml
+from rvm_mpi.commands.main import main
+from rvm_mpi.job.text import parse_toml
 
 IN_TIME = 20.0
 """Seconds for one job on a busy machine."""

@@ -3,7 +3,7 @@
 import pytest
 from faults.faulty import assert_readable, assert_same, run
 
-from rvm_mpi import rundir
+from rvm_mpi.output import rundir
 
 pytestmark = pytest.mark.timeout(600)
 

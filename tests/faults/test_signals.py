@@ -13,7 +13,7 @@ import pytest
 from conftest import start_line
 from faults.faulty import BOUND, ROOT, Started, assert_readable, assert_same, mpi_environment, run, wait_for
 
-from rvm_mpi import rundir
+from rvm_mpi.output import rundir
 
 pytestmark = pytest.mark.timeout(600)
 

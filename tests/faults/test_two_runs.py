@@ -6,9 +6,9 @@ import time
 import pytest
 from faults.faulty import COMPILING, Started, assert_same, run, wait_for
 
-from rvm_mpi import rundir
-from rvm_mpi.cli import main
-from rvm_mpi.results import open_run
+from rvm_mpi.commands.main import main
+from rvm_mpi.output import rundir
+from rvm_mpi.output.results import open_run
 
 pytestmark = pytest.mark.timeout(900)
 

@@ -7,7 +7,7 @@ import math
 import sys
 from pathlib import Path
 
-from rvm_mpi.job import Job
+from rvm_mpi.job.job import Job
 from rvm_mpi.simulation import Simulation, run_job
 
 JOB = {

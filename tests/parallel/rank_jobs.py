@@ -5,7 +5,7 @@ from pathlib import Path
 
 import tomli_w
 
-from rvm_mpi.cli import main
+from rvm_mpi.commands.main import main
 
 GRANULAR = {"operator": "granular-es-bgk", "knudsen": 0.1, "restitution": 0.8}
 RANDOM = {"state": "random-density", "seed": 3, "low": 0.1}

@@ -1,6 +1,6 @@
 """The tiny jobs of restart_program.py: named ones, and every operator with every scaling in every dimension."""
 
-from rvm_mpi.job import Job
+from rvm_mpi.job.job import Job
 
 STEPS = 6
 GRANULAR = {"operator": "granular-es-bgk", "knudsen": 0.2, "restitution": 0.9}

@@ -12,7 +12,7 @@ from pathlib import Path
 from mpi4py import MPI
 from restart_cases import STEPS, make_job
 
-from rvm_mpi import checkpoint
+from rvm_mpi.output import checkpoint
 from rvm_mpi.simulation import run_job
 
 

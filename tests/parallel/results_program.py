@@ -12,10 +12,10 @@ from pathlib import Path
 import numpy as np
 from mpi4py import MPI
 
-from rvm_mpi import results
-from rvm_mpi.domain import Domain
 from rvm_mpi.exact_sum import exact_sums
-from rvm_mpi.job import Job
+from rvm_mpi.grid.domain import Domain
+from rvm_mpi.job.job import Job
+from rvm_mpi.output import results
 
 comm = MPI.COMM_WORLD
 

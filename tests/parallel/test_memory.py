@@ -3,16 +3,15 @@
 import pytest
 import tomli_w
 
-from rvm_mpi import estimates
+from rvm_mpi.advice import estimates
 
-#: runs a job as `rvm run` does; prints the peak of the rank that has most, and what its arrays were said to take
 PROGRAM = """
 import sys
 from pathlib import Path
 from mpi4py import MPI
-from rvm_mpi import estimates
-from rvm_mpi.cli import main
-from rvm_mpi.job import Job
+from rvm_mpi.advice import estimates
+from rvm_mpi.commands.main import main
+from rvm_mpi.job.job import Job
 comm, job = MPI.COMM_WORLD, sys.argv[1]
 assert main(["run", job, "--output", sys.argv[2], "--overwrite", "--quiet"]) == 0
 status = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text().splitlines())

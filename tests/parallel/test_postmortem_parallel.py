@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
-from rvm_mpi.checkpoint import Checkpoint
-from rvm_mpi.results import _open, read_history
+from rvm_mpi.output.checkpoint import Checkpoint
+from rvm_mpi.output.results import _open, read_history
 
 PROGRAM = Path(__file__).with_name("postmortem_program.py")
 CELL, STEP = (11, 7), 4

@@ -10,7 +10,7 @@ SPLIT = """
 import sys
 from pathlib import Path
 sys.path.insert(0, sys.argv[1])
-from rvm_mpi import domain
+from rvm_mpi.grid import domain
 split = int(sys.argv[2]), int(sys.argv[3])
 domain.partition = lambda cells, ranks: split
 create = domain.Domain.__init__
@@ -57,7 +57,8 @@ import sys
 from pathlib import Path
 sys.path.insert(0, sys.argv[1])
 from mpi4py import MPI
-from rvm_mpi import domain, placement
+from rvm_mpi.grid import domain
+from rvm_mpi.grid import placement
 domain.partition = lambda cells, ranks: (2, 2)
 placement.nodes = lambda comm: [0, 0, 1, 1]
 from parallel import rank_jobs

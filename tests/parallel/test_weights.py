@@ -7,7 +7,7 @@ import pytest
 import tomli_w
 from parallel import rank_jobs
 
-from rvm_mpi.collisions.boltzmann_weights import Rows, compute_weights
+from rvm_mpi.collisions.weights import Rows, compute_weights
 
 PROGRAM = Path(__file__).with_name("weights_program.py")
 

@@ -6,9 +6,9 @@ import time
 
 from mpi4py import MPI
 
-from rvm_mpi.cli import main
 from rvm_mpi.collisions import weight_store
-from rvm_mpi.job_text import JobError
+from rvm_mpi.commands.main import main
+from rvm_mpi.job.text import JobError
 
 POINTS = (10, 12)
 world = MPI.COMM_WORLD

@@ -7,7 +7,7 @@ kernels' slabs and back.
 
 import numpy as np
 
-from rvm_mpi.velocity import VelocityGrid
+from rvm_mpi.grid.velocity import VelocityGrid
 
 #: velocity grids in one, two and three directions: slabs that need padding and slabs that do not, odd and even counts
 SHAPES = [(6,), (7,), (9, 7), (8, 8), (5, 4), (8, 6, 5), (6, 6, 8), (5, 7, 3)]

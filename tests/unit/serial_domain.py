@@ -1,4 +1,4 @@
-"""A stand-in for `rvm_mpi.domain.Domain` without MPI or PETSc: one block, or several in threads."""
+"""A stand-in for `rvm_mpi.grid.domain.Domain` without MPI or PETSc: one block, or several in threads."""
 
 import threading
 from types import SimpleNamespace

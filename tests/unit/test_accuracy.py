@@ -9,11 +9,11 @@ import pytest
 import tomli_w
 
 from benchmarks import grid_accuracy
-from rvm_mpi import accuracy
-from rvm_mpi.accuracy_tables import BOLTZMANN, DRIFT, HALF_WIDTHS
-from rvm_mpi.cli import main
-from rvm_mpi.job import Job
-from rvm_mpi.job_schema import Scheme
+from rvm_mpi.advice import accuracy
+from rvm_mpi.advice.accuracy_tables import BOLTZMANN, DRIFT, HALF_WIDTHS
+from rvm_mpi.commands.main import main
+from rvm_mpi.job.job import Job
+from rvm_mpi.job.schema import Scheme
 from tests.verification.navier_stokes import conductivity
 
 JOBS = sorted((Path(__file__).parents[2] / "jobs").glob("*.toml"))

@@ -8,7 +8,7 @@ import pytest
 
 from rvm_mpi import Job, Simulation
 from rvm_mpi.collisions.boltzmann import BoltzmannOperator, scatter
-from rvm_mpi.collisions.boltzmann_weights import (
+from rvm_mpi.collisions.weights import (
     SUPPORT,
     RadialIntegral,
     Rows,

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
-from rvm_mpi import checkpoint, results, rundir
-from rvm_mpi.checkpoint import Checkpoint, DamagedCheckpoint, use_newest
-from rvm_mpi.compare import compare_paths
-from rvm_mpi.job import Job, JobError
-from rvm_mpi.results import DiskFailure, open_run
+from rvm_mpi.commands.compare import compare_paths
+from rvm_mpi.job.job import Job, JobError
+from rvm_mpi.output import checkpoint, results, rundir
+from rvm_mpi.output.checkpoint import Checkpoint, DamagedCheckpoint, use_newest
+from rvm_mpi.output.results import DiskFailure, open_run
 from rvm_mpi.simulation import Simulation, run_job
 
 

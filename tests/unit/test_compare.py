@@ -9,8 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
 
-from rvm_mpi import compare
-from rvm_mpi.compare import Columns, Found, Picked, Quantity, _pairs
+from rvm_mpi.commands import compare
+from rvm_mpi.commands.compare import Columns, Found, Picked, Quantity, _pairs
 
 NUMBERS = st.one_of(
     st.sampled_from([0.0, -0.0, 1.0, math.nan, math.inf, -math.inf, 1e-320]), st.floats(allow_subnormal=True)

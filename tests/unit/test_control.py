@@ -5,7 +5,7 @@ import signal
 
 import pytest
 
-from rvm_mpi.control import SIGNALS, Control, Decision
+from rvm_mpi.run.control import SIGNALS, Control, Decision
 
 
 class Clock:

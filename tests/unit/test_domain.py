@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rvm_mpi.domain import FEWEST_CELLS, Domain, aligned, largest_ranks, partition
-from rvm_mpi.job import Job, JobError
+from rvm_mpi.grid.domain import FEWEST_CELLS, Domain, aligned, largest_ranks, partition
+from rvm_mpi.job.job import Job, JobError
 
 CELLS = st.one_of(st.just(()), st.tuples(st.integers(3, 300)), st.tuples(st.integers(3, 120), st.integers(3, 120)))
 
@@ -165,7 +165,7 @@ import sys
 import numpy as np
 sys.path.insert(0, sys.argv[1])
 from test_domain import make_job
-from rvm_mpi.domain import Domain
+from rvm_mpi.grid.domain import Domain
 for cells in ((14,), (13, 12)):
     for boundary in ("periodic", "specular"):
         domain = Domain(make_job(cells, boundary))

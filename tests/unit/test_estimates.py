@@ -8,10 +8,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rvm_mpi import bench, estimates, kinetic_theory
-from rvm_mpi.collisions.boltzmann_weights import Rows
-from rvm_mpi.domain import aligned
-from rvm_mpi.job import Job, JobError
+from rvm_mpi import kinetic_theory
+from rvm_mpi.advice import estimates
+from rvm_mpi.collisions.weights import Rows
+from rvm_mpi.commands import bench
+from rvm_mpi.grid.domain import aligned
+from rvm_mpi.job.job import Job, JobError
 from rvm_mpi.kinetic import drift
 
 

@@ -5,12 +5,14 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from rvm_mpi import Simulation, estimates, fit
-from rvm_mpi.cli import main
+from rvm_mpi import Simulation
+from rvm_mpi.advice import estimates
 from rvm_mpi.collisions import es_bgk
-from rvm_mpi.job import Job, JobError
-from rvm_mpi.stepping import NumericalFailure
-from rvm_mpi.velocity import VelocityGrid
+from rvm_mpi.commands.main import main
+from rvm_mpi.grid.velocity import VelocityGrid
+from rvm_mpi.job.job import Job, JobError
+from rvm_mpi.step import fit
+from rvm_mpi.step.stepper import NumericalFailure
 
 
 @given(points=st.integers(4, 40), width=st.floats(1, 20), where=st.floats(-0.999, 0.999))

@@ -17,17 +17,17 @@ from numba import njit
 from numba.core import types
 from numba.core.registry import cpu_target
 
-from rvm_mpi import kernels
-from rvm_mpi.kernels import kernel, part
+from rvm_mpi.compiling import declare as kernels
+from rvm_mpi.compiling.declare import kernel, part
 
 ROOT = Path(__file__).resolve().parents[2]
 
 #: sums over the nodes of one cell, and whether their kernel came from the cache
 SUMS = """
 import numpy as np
-from rvm_mpi import moments
-from rvm_mpi.stage import Space, kernel_grid
-from rvm_mpi.velocity import VelocityGrid
+from rvm_mpi.kinetic import moments
+from rvm_mpi.step.sweep import Space, kernel_grid
+from rvm_mpi.grid.velocity import VelocityGrid
 grid = VelocityGrid.create((5, 4, 4), (7.0, 6.0, 5.0))
 g = np.random.default_rng(1).uniform(size=(1, 1, grid.block))
 sums = moments.sums_about(g, Space(0, 1, 1, 0, 0, 0.0, 0.0), kernel_grid(grid), np.zeros((1, 1, 3)))
@@ -36,7 +36,7 @@ print(*map(float.hex, sums.ravel()), sum(moments._sums_about.stats.cache_hits.va
 #: two steps of a small gas in the plane, and a hash of all that they leave
 STEPS = """
 import hashlib
-from rvm_mpi.bench import _job
+from rvm_mpi.commands.bench import _job
 from rvm_mpi.simulation import Simulation
 sim = Simulation(_job((4, 4), (10, 9, 8)))
 for _ in range(2):

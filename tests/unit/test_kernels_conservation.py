@@ -15,7 +15,7 @@ from rvm_mpi.kinetic.conservation import (
     solve,
     weighted_sums,
 )
-from rvm_mpi.stage import Work, kernel_grid
+from rvm_mpi.step.sweep import Work, kernel_grid
 
 SETTINGS = settings(max_examples=40, deadline=None)
 SEED = st.integers(0, 2**32 - 1)

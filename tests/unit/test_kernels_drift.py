@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from numpy_twins import SHAPES, drift_rate, laid_out, make_grid, pack, random_g
 
 from rvm_mpi.kinetic import drift
-from rvm_mpi.stage import Work, kernel_grid
+from rvm_mpi.step.sweep import Work, kernel_grid
 
 SETTINGS = settings(max_examples=60, deadline=None)
 RATE = st.floats(-3.0, 3.0)

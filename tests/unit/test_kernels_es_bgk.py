@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from numpy_twins import gaussian, make_grid, nodes, powers, ten_sums
 
 from rvm_mpi.collisions import es_bgk
-from rvm_mpi.stage import Work, kernel_grid
+from rvm_mpi.step.sweep import Work, kernel_grid
 
 SETTINGS = settings(max_examples=40, deadline=None)
 SEED = st.integers(0, 2**32 - 1)

@@ -9,11 +9,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy_twins import SHAPES, Twin, both_sides, gaussian, make_grid, nodes, pack, random_g, ten_sums
 
-from rvm_mpi import stage
-from rvm_mpi.domain import Domain
-from rvm_mpi.job import Job
+from rvm_mpi.grid.domain import Domain
+from rvm_mpi.job.job import Job
 from rvm_mpi.kinetic.drift import ORDERS
-from rvm_mpi.stepping import KineticStepper
+from rvm_mpi.step import sweep as stage
+from rvm_mpi.step.stepper import KineticStepper
 
 SETTINGS = settings(max_examples=40, deadline=None)
 SEED = st.integers(0, 2**32 - 1)

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from numpy_twins import SHAPES, laid_out, make_grid, nodes, random_g, signed, upwinded
 
 from rvm_mpi.kinetic.transport import PIECE, upper_fluxes
-from rvm_mpi.stage import kernel_grid
+from rvm_mpi.step.sweep import kernel_grid
 
 SETTINGS = settings(max_examples=40, deadline=None)
 OMEGA = st.floats(1e-3, 10.0)

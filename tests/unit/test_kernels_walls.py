@@ -8,7 +8,7 @@ from numpy_twins import five_sums, gaussian, make_grid, nodes, pack, random_g, t
 from scipy.integrate import quad
 
 from rvm_mpi.kinetic import walls
-from rvm_mpi.stage import kernel_grid
+from rvm_mpi.step.sweep import kernel_grid
 
 SETTINGS = settings(max_examples=40, deadline=None)
 GRIDS = [(8,), (7,), (8, 6), (6, 6, 8), (9, 7, 5)]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rvm_mpi import kinetic_theory
-from rvm_mpi.job import Job
+from rvm_mpi.job.job import Job
 from rvm_mpi.kinetic_theory import (
     PATH_PER_VISCOSITY,
     dissipation_coefficient,

@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from rvm_mpi.placement import places, tile
+from rvm_mpi.grid.placement import places, tile
 
 
 def cut(split, cells, node_at):

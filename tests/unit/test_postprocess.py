@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
-from rvm_mpi import results
-from rvm_mpi.job import Job
+from rvm_mpi.job.job import Job
+from rvm_mpi.output import results
 
 POSTPROCESS = Path(__file__).resolve().parents[2] / "postprocess"
 sys.path.insert(0, str(POSTPROCESS))

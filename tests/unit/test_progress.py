@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from rvm_mpi.progress import Progress, _count, duration
+from rvm_mpi.run.progress import Progress, _count, duration
 
 
 class Clock:

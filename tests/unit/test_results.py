@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
-from rvm_mpi import results
+from rvm_mpi.output import results
 
 ALL_SIZES = [((), 1), ((), 2), ((9,), 1), ((9,), 3), ((7, 5), 2), ((7, 5), 3)]
 
@@ -249,7 +249,7 @@ def test_reading_needs_no_mpi(tmp_path):
     with make_file(tmp_path, make_job()) as file:
         file.write(0, 0.0, random_fields(make_job()))
     code = (
-        "import sys; from rvm_mpi.results import open_run; run = open_run(sys.argv[1]); "
+        "import sys; from rvm_mpi.output.results import open_run; run = open_run(sys.argv[1]); "
         "print(run.kinetic_density.shape, 'mpi4py.MPI' in sys.modules)"
     )
     clean = {k: v for k, v in os.environ.items() if not k.startswith(("OMPI", "PMI", "MPI", "H5PY"))}

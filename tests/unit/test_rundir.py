@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from rvm_mpi import rundir
-from rvm_mpi.job import Job, JobError
+from rvm_mpi.job.job import Job, JobError
+from rvm_mpi.output import rundir
 
 JOB = Job.from_dict(
     {

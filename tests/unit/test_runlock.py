@@ -12,10 +12,11 @@ from dataclasses import asdict, replace
 import pytest
 from mpi4py import MPI
 
-from rvm_mpi import rundir, runlock
-from rvm_mpi.job import JobError
-from rvm_mpi.results import DirectoryLost
-from rvm_mpi.runlock import Claim, Lock, Owner
+from rvm_mpi.job.job import JobError
+from rvm_mpi.output import rundir
+from rvm_mpi.output.results import DirectoryLost
+from rvm_mpi.run import lock as runlock
+from rvm_mpi.run.lock import Claim, Lock, Owner
 
 
 def left(directory, owner, age=0.0):
@@ -44,7 +45,7 @@ def test_taken_once_and_free_again_at_the_end(tmp_path):
 
 
 def test_what_a_killed_process_left_is_taken_over_at_once(tmp_path):
-    code = "import sys, pathlib, time, rvm_mpi.runlock as r; r.Lock(pathlib.Path(sys.argv[1])); time.sleep(60)"
+    code = "import sys, pathlib, time, rvm_mpi.run.lock as r; r.Lock(pathlib.Path(sys.argv[1])); time.sleep(60)"
     with subprocess.Popen([sys.executable, "-c", code, str(tmp_path)]) as process:
         limit = time.monotonic() + 30
         while not (tmp_path / "lock").exists():
@@ -145,8 +146,8 @@ def test_a_run_shows_signs_of_life(tmp_path, monkeypatch):
 def test_of_many_at_one_instant_one_gets_what_a_killed_run_left(tmp_path, links):
     code = (
         "import os, sys, pathlib, time\n"
-        "from rvm_mpi import runlock\n"
-        "from rvm_mpi.job_text import JobError\n"
+        "from rvm_mpi.run import lock as runlock\n"
+        "from rvm_mpi.job.text import JobError\n"
         "def refuse(*_): raise PermissionError(1, 'no links here')\n"
         f"if not {links}: os.link = refuse\n"
         "while time.time() < float(sys.argv[2]): pass\n"

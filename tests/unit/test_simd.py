@@ -8,9 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy_twins import half_slope
 
-from rvm_mpi import simd
-from rvm_mpi.domain import aligned
-from rvm_mpi.kernels import kernel
+from rvm_mpi.compiling import simd
+from rvm_mpi.compiling.declare import kernel
+from rvm_mpi.grid.domain import aligned
 
 SETTINGS = settings(max_examples=80, deadline=None)
 ROWS = 33

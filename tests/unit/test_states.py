@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rvm_mpi.job import Job, JobError
-from rvm_mpi.job_schema import INITIAL_STATES
+from rvm_mpi.job.job import Job, JobError
+from rvm_mpi.job.schema import INITIAL_STATES
 from rvm_mpi.states import STATES, describe_states, macroscopic_state
 
 SIDES = {
@@ -219,7 +219,7 @@ def run(tmp_path, monkeypatch):
         },
         {"time": [0.0, 0.5], "x": (np.arange(12) + 0.5) / 12, "y": (np.arange(10) + 0.5) / 10},
     )
-    from rvm_mpi import results
+    from rvm_mpi.output import results
 
     monkeypatch.setattr(results, "open_run", lambda path: dataset)
     return str(tmp_path), (density, velocity, stress)

@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 
-from rvm_mpi import checkpoint, watch
-from rvm_mpi.cli import main
-from rvm_mpi.job import Job
-from rvm_mpi.results import read_history
+from rvm_mpi.commands.main import main
+from rvm_mpi.job.job import Job
+from rvm_mpi.output import checkpoint
+from rvm_mpi.output.results import read_history
+from rvm_mpi.run import watch
 from rvm_mpi.simulation import Simulation, run_job
 
 TABLES = {

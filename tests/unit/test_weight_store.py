@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rvm_mpi.collisions import boltzmann_weights, weight_store
-from rvm_mpi.collisions.boltzmann_weights import Rows, compute_weights
+from rvm_mpi.collisions import weight_store
+from rvm_mpi.collisions import weights as boltzmann_weights
+from rvm_mpi.collisions.weights import Rows, compute_weights
 
 POINTS, RESTITUTION, EXPONENT = (10, 12), 0.7, 0.5
 

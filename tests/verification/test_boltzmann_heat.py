@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from rvm_mpi import Simulation
-from rvm_mpi.accuracy import operator_worth
+from rvm_mpi.advice.accuracy import operator_worth
 from tests.verification.kinetic_cases import build, line
 
 KNUDSEN = 0.05

@@ -5,8 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rvm_mpi import Job, Simulation, stepping
-from rvm_mpi.stage import DRIFT, TRANSPORT
+from rvm_mpi import Job, Simulation
+from rvm_mpi.step import stepper as stepping
+from rvm_mpi.step.sweep import DRIFT, TRANSPORT
 from tests.verification import time_order
 from tests.verification.kinetic_cases import build, es_bgk, line, orders
 

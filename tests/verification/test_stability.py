@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from rvm_mpi import Simulation, kinetic_theory, stability
+from rvm_mpi import Simulation, kinetic_theory
+from rvm_mpi.advice import stability
 from tests.verification.kinetic_cases import build
 
 RESTITUTION = 0.95

@@ -6,8 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rvm_mpi import Simulation
-from rvm_mpi.estimates import check_box
-from rvm_mpi.job import JobError
+from rvm_mpi.advice.estimates import check_box
+from rvm_mpi.job.job import JobError
 from tests.verification.kinetic_cases import build, line
 
 #: relative change of density, velocity over thermal speed and temperature that is round-off, after some tens of steps

@@ -10,9 +10,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rvm_mpi import Job, estimates
-from rvm_mpi.compare import compare_paths
-from rvm_mpi.job import JobError
+from rvm_mpi import Job
+from rvm_mpi.advice import estimates
+from rvm_mpi.commands.compare import compare_paths
+from rvm_mpi.job.job import JobError
 from rvm_mpi.simulation import run_job
 from tests.verification.units import Units, factor, rescaled, results
 

@@ -11,8 +11,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from rvm_mpi import Job, Simulation
-from rvm_mpi.job import JobError
-from rvm_mpi.stepping import NumericalFailure
+from rvm_mpi.job.job import JobError
+from rvm_mpi.step.stepper import NumericalFailure
 
 
 class Units(NamedTuple):

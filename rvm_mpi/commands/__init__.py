@@ -1,0 +1,1 @@
+"""The commands of `rvm`: they parse and print."""

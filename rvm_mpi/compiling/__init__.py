@@ -1,0 +1,1 @@
+"""What turns Python functions into machine code: declarations, vector instructions."""

@@ -1,0 +1,1 @@
+"""The grids: cells of space shared among ranks, nodes of velocity."""

@@ -1,0 +1,1 @@
+"""Job files: what they may say, and what is wrong with those that cannot run."""

@@ -1,0 +1,1 @@
+"""What surrounds a run: its loop, its log, signals, locks, failures."""
