@@ -10,11 +10,12 @@ that axis is raised to what can be held and the other axes give the difference, 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from rvm_mpi.compiling.declare import part
-from rvm_mpi.compiling.simd import exponential, leading, load, minimum, splat, store, total, where_positive
+from rvm_mpi.compiling.simd import exponential, fma, leading, load, minimum, splat, store, total, where_positive
 from rvm_mpi.grid.velocity import VALID, Y, Z
 from rvm_mpi.kinetic.conservation import about_origin, solve
 from rvm_mpi.step.fit import ROOM
@@ -59,6 +60,33 @@ _PRODUCT = np.array(
 )
 
 
+class Fit(NamedTuple):
+    """Work space of `discrete_gaussian`.
+
+    theta (10,), sums (75,), plane (600,), matrix (10, 10); step, wanted, scale (10,); axis (3,): a and b of one axis's
+    Gaussian and its sum; inverse (6,).
+    """
+
+    theta: np.ndarray
+    sums: np.ndarray
+    plane: np.ndarray
+    matrix: np.ndarray
+    step: np.ndarray
+    wanted: np.ndarray
+    scale: np.ndarray
+    axis: np.ndarray
+    inverse: np.ndarray
+
+
+class Gaussian(NamedTuple):
+    """A discrete Gaussian: its values (block,), mean (3,), temperature tensor (6,) and sums (10,)."""
+
+    block: np.ndarray
+    mean: np.ndarray
+    tensor: np.ndarray
+    sums: np.ndarray
+
+
 @part
 def smallest_variance(nodes, count, mean):  # type: ignore[no-untyped-def]
     """The least variance a positive function on these nodes can have with this mean; negative outside the nodes."""
@@ -94,7 +122,7 @@ def fit_axis(nodes, count, mean, variance, result):  # type: ignore[no-untyped-d
         w0, w1, w2, w3, w4 = zero, zero, zero, zero, zero
         for j in range(0, count, 8):
             s = load(nodes, j) - splat(mean)
-            w = leading(exponential(minimum(s * (s * a + splat(b)), splat(600.0))), count - j)
+            w = leading(exponential(minimum(s * fma(s, a, splat(b)), splat(600.0))), count - j)
             w0 = w0 + w
             w = w * s
             w1 = w1 + w
@@ -102,7 +130,7 @@ def fit_axis(nodes, count, mean, variance, result):  # type: ignore[no-untyped-d
             w2 = w2 + w
             w = w * s
             w3 = w3 + w
-            w4 = w4 + w * s
+            w4 = fma(w, s, w4)
         m0, m1, m2, m3, m4 = total(w0), total(w1), total(w2), total(w3), total(w4)
         if not (m0 > 0.0 and m0 < 1e300):
             return
@@ -132,13 +160,14 @@ def fit_axis(nodes, count, mean, variance, result):  # type: ignore[no-untyped-d
 
 
 @part
-def gaussian_moments(theta, centre, points_x, slab_size, x, slab, block, moments):  # type: ignore[no-untyped-def]
+def gaussian_moments(theta, centre, grid, block, moments):  # type: ignore[no-untyped-def]
     """block = exp(theta . m(xi - centre)), m = 1, x, y, z, xx, xy, xz, yy, yz, zz, and its sums of those ten.
 
     Along x the Gaussian is a product: from the node nearest to the centre outwards, one value follows from the one
     before by a ratio that itself changes by a constant ratio. So a slab costs three exponentials a node, not one
     for each x.
     """
+    points_x, slab_size, x, slab = grid.points[0], grid.slab_size, grid.x, grid.slab
     zero = splat(0.0)
     h = x[1] - x[0]
     middle = min(max(int((centre[0] - x[0]) / h + 0.5), 0), points_x - 1)
@@ -150,15 +179,14 @@ def gaussian_moments(theta, centre, points_x, slab_size, x, slab, block, moments
         y = load(slab, Y * slab_size + n) - splat(centre[1])
         z = load(slab, Z * slab_size + n) - splat(centre[2])
         valid = load(slab, VALID * slab_size + n)
-        base = (
-            splat(theta[0]) + y * (splat(theta[2]) + y * theta[7]) + z * (splat(theta[3]) + z * theta[9] + y * theta[8])
-        )
-        tilt = splat(theta[1]) + y * theta[5] + z * theta[6]
-        exponent = base + (tilt + splat(theta[4] * start)) * start
+        along_y, along_z = fma(y, theta[7], splat(theta[2])), fma(y, theta[8], fma(z, theta[9], splat(theta[3])))
+        base = fma(z, along_z, fma(y, along_y, splat(theta[0])))
+        tilt = fma(z, theta[6], fma(y, theta[5], splat(theta[1])))
+        exponent = fma(tilt + splat(theta[4] * start), start, base)
         # nothing where the start is below the range of doubles: from there the ratios would lead astray
         first = where_positive(exponent + splat(700.0), exponential(exponent), zero) * valid
-        up = exponential(tilt * h + splat(theta[4] * h * (2.0 * start + h)))
-        down = exponential(tilt * -h - splat(theta[4] * h * (2.0 * start - h)))
+        up = exponential(fma(tilt, h, splat(theta[4] * h * (2.0 * start + h))))
+        down = exponential(fma(tilt, -h, splat(-theta[4] * h * (2.0 * start - h))))
         t = first * start
         a0, a1, a2 = first, t, t * start
         store(block, middle * slab_size + n, first)
@@ -171,7 +199,7 @@ def gaussian_moments(theta, centre, points_x, slab_size, x, slab, block, moments
             t = value * s
             a0 = a0 + value
             a1 = a1 + t
-            a2 = a2 + t * s
+            a2 = fma(t, s, a2)
         value = first
         for k in range(middle - 1, -1, -1):
             s = x[k] - centre[0]
@@ -181,20 +209,21 @@ def gaussian_moments(theta, centre, points_x, slab_size, x, slab, block, moments
             t = value * s
             a0 = a0 + value
             a1 = a1 + t
-            a2 = a2 + t * s
-        m0, mx, my, mz = m0 + a0, mx + a1, my + a0 * y, mz + a0 * z
-        xx, xy, xz = xx + a2, xy + a1 * y, xz + a1 * z
-        yy, yz, zz = yy + a0 * y * y, yz + a0 * y * z, zz + a0 * z * z
+            a2 = fma(t, s, a2)
+        m0, mx, my, mz = m0 + a0, mx + a1, fma(a0, y, my), fma(a0, z, mz)
+        xx, xy, xz = xx + a2, fma(a1, y, xy), fma(a1, z, xz)
+        yy, yz, zz = fma(a0 * y, y, yy), fma(a0 * y, z, yz), fma(a0 * z, z, zz)
     moments[0], moments[1], moments[2], moments[3], moments[4] = total(m0), total(mx), total(my), total(mz), total(xx)
     moments[5], moments[6], moments[7], moments[8], moments[9] = total(xy), total(xz), total(yy), total(yz), total(zz)
 
 
 @part
-def gaussian_sums(centre, points_x, slab_size, x, slab, block, sums, plane):  # type: ignore[no-untyped-def]
+def gaussian_sums(centre, grid, block, sums, plane):  # type: ignore[no-untyped-def]
     """Sums to fourth order of the Gaussian that `gaussian_moments` has left in `block`.
 
     `sums` (5, 15) receives the sum of x^p y^q z^r at [p, place of (q, r)]; `plane` (75, 8) is work space.
     """
+    points_x, slab_size, x, slab = grid.points[0], grid.slab_size, grid.x, grid.slab
     zero = splat(0.0)
     for q in range(75):
         store(plane, 8 * q, zero)
@@ -212,22 +241,22 @@ def gaussian_sums(centre, points_x, slab_size, x, slab, block, sums, plane):  # 
             a2 = a2 + t
             t = t * s
             a3 = a3 + t
-            a4 = a4 + t * s
+            a4 = fma(t, s, a4)
         w = splat(1.0)
         for p in range(5):
             t = w
             for q in range(5 - p):
                 place = 8 * _PLACE[p, q]
                 order = p + q
-                store(plane, place, load(plane, place) + a0 * t)
+                store(plane, place, fma(a0, t, load(plane, place)))
                 if order <= 3:
-                    store(plane, 120 + place, load(plane, 120 + place) + a1 * t)
+                    store(plane, 120 + place, fma(a1, t, load(plane, 120 + place)))
                 if order <= 2:
-                    store(plane, 240 + place, load(plane, 240 + place) + a2 * t)
+                    store(plane, 240 + place, fma(a2, t, load(plane, 240 + place)))
                 if order <= 1:
-                    store(plane, 360 + place, load(plane, 360 + place) + a3 * t)
+                    store(plane, 360 + place, fma(a3, t, load(plane, 360 + place)))
                 if order == 0:
-                    store(plane, 480 + place, load(plane, 480 + place) + a4 * t)
+                    store(plane, 480 + place, fma(a4, t, load(plane, 480 + place)))
                 t = t * z
             w = w * y
     for p in range(5):
@@ -237,11 +266,12 @@ def gaussian_sums(centre, points_x, slab_size, x, slab, block, sums, plane):  # 
 
 
 @part
-def realisable_tensor(density, mean, tensor, dimensions, points, nodes):  # type: ignore[no-untyped-def]
+def realisable_tensor(mean, tensor, grid):  # type: ignore[no-untyped-def]
     """Bring a temperature tensor within what the grid can hold, in place, keeping its trace.
 
     `tensor` is (xx, xy, xz, yy, yz, zz). Returns EXACT, REPLACED, or TOO_COLD where not even the trace can be held.
     """
+    dimensions, points, nodes = grid.dimensions, grid.points, grid.nodes
     diagonal = (0, 3, 5)
     short, slack = 0.0, 0.0
     for i in range(dimensions):
@@ -326,9 +356,8 @@ def discrete_gaussian(density, mean, tensor, grid, work, block, moments):  # typ
         Mean of xi.
     tensor : (6,) array
         Covariance xx, xy, xz, yy, yz, zz; replaced by the nearest one that the grid can hold where it must be.
-    grid : stage.Grid
-    work : tuple of arrays
-        theta (10,), sums (75,), plane (600,), matrix (10, 10), vectors (5, 10).
+    grid : data.Grid
+    work : Fit
     block : (points_x * slab_size,) array
         Receives the Gaussian.
     moments : (10,) array
@@ -339,11 +368,10 @@ def discrete_gaussian(density, mean, tensor, grid, work, block, moments):  # typ
     int
         EXACT, REPLACED, TOO_COLD or FAILED.
     """
-    dimensions, points, slab_size = grid.dimensions, grid.points, grid.slab_size
-    x, slab, nodes = grid.x, grid.slab, grid.nodes
-    theta, sums, plane, matrix, vectors = work
-    step, wanted, scale, fit, inverse = vectors[0], vectors[1], vectors[2], vectors[3], vectors[4]
-    status = realisable_tensor(density, mean, tensor, dimensions, points, nodes)
+    dimensions, points, nodes = grid.dimensions, grid.points, grid.nodes
+    theta, sums, matrix = work.theta, work.sums, work.matrix
+    step, wanted, scale, fit, inverse = work.step, work.wanted, work.scale, work.axis, work.inverse
+    status = realisable_tensor(mean, tensor, grid)
     if status == TOO_COLD:
         return TOO_COLD
     if not invert_tensor(tensor, dimensions, inverse):
@@ -379,7 +407,7 @@ def discrete_gaussian(density, mean, tensor, grid, work, block, moments):  # typ
     previous = math.inf
     damping = 1.0
     for _ in range(NEWTON_STEPS):
-        gaussian_moments(theta, mean, points[0], slab_size, x, slab, block, moments)
+        gaussian_moments(theta, mean, grid, block, moments)
         mismatch = 0.0
         for i in range(10):
             step[i] = wanted[i] - moments[i]
@@ -391,7 +419,7 @@ def discrete_gaussian(density, mean, tensor, grid, work, block, moments):  # typ
             return status
         damping = 0.5 * damping if mismatch > previous else min(1.0, 2.0 * damping)
         previous = mismatch
-        gaussian_sums(mean, points[0], slab_size, x, slab, block, sums, plane)
+        gaussian_sums(mean, grid, block, sums, work.plane)
         for i in range(10):
             for j in range(i + 1):
                 matrix[i, j] = sums[_PRODUCT[i, j]]
@@ -407,9 +435,10 @@ def discrete_gaussian(density, mean, tensor, grid, work, block, moments):  # typ
 
 
 @part
-def discrete_maxwellian(density, mean, temperature, grid, work, tensor, block, moments):  # type: ignore[no-untyped-def]
-    """`discrete_gaussian` of one temperature; `tensor` (6,) receives the covariance that it has."""
-    tensor[:] = 0.0
+def discrete_maxwellian(density, temperature, gaussian, grid, work):  # type: ignore[no-untyped-def]
+    """`discrete_gaussian` of one temperature, in a `Gaussian` whose mean is given."""
+    for q in range(6):
+        gaussian.tensor[q] = 0.0
     for q in range(grid.dimensions):
-        tensor[(0, 3, 5)[q]] = temperature
-    return discrete_gaussian(density, mean, tensor, grid, work, block, moments)
+        gaussian.tensor[(0, 3, 5)[q]] = temperature
+    return discrete_gaussian(density, gaussian.mean, gaussian.tensor, grid, work, gaussian.block, gaussian.sums)

@@ -1,12 +1,14 @@
-"""A vector of eight doubles for numba kernels, with loads and stores that LLVM need not guard.
+"""A vector of eight doubles for kernels, with loads and stores that LLVM need not guard.
 
 numba's own array indexing handles negative indices, which keeps LLVM from vectorising, and how well it
 vectorises the rest differs from one numba version to the next. The kernels of this package therefore say what
 they mean: `load(a, i)` is the eight doubles a[i:i+8], arithmetic works on all eight, `store(a, i, v)` puts them
-back. On processors with narrower registers LLVM splits the operations; the results are the same on
-any number of ranks because every element goes through the same operations wherever it lies in an array.
+back. On processors with narrower registers LLVM splits the operations.
 
-Products and sums may be contracted to fused multiply-adds where the kernel says so, nothing else is reordered.
+Every operation rounds as IEEE 754 says, and none is fused, reordered or left out behind the reader's back: `fma` is
+where a product is not rounded before the sum. So results depend neither on the processor nor on numba's version.
+
+It stands on what numba documents for extensions: `intrinsic`, and `type_callable` with `lower_builtin` for operators.
 """
 
 from __future__ import annotations
@@ -17,15 +19,10 @@ from collections.abc import Callable
 from typing import Any
 
 from llvmlite import ir
-from numba.core import cgutils, types
-from numba.core.typing.templates import AbstractTemplate, infer_global
-from numba.extending import intrinsic, lower_builtin, models, register_model
-
-from rvm_mpi.compiling.declare import element, part
+from numba import types
+from numba.extending import intrinsic, lower_builtin, models, register_model, type_callable
 
 LANES = 8
-#: smallest product of two differences that `van_leer3` makes a slope of
-LEAST = 1e-180
 _DOUBLE = ir.DoubleType()
 _VECTOR = ir.VectorType(_DOUBLE, LANES)
 _INTS = ir.VectorType(ir.IntType(64), LANES)
@@ -51,6 +48,12 @@ def _constant(value: float) -> ir.Constant:
     return ir.Constant(_VECTOR, [float(value)] * LANES)
 
 
+def element(context: Any, builder: Any, array_type: Any, array: Any, index: Any) -> Any:
+    """Pointer to the element of an array with that number, counted through all axes."""
+    data = context.data_model_manager[array_type].get_field_position("data")
+    return builder.gep(builder.extract_value(array, data), [index])
+
+
 def _address(context: Any, builder: Any, array_type: Any, array: Any, index: Any) -> Any:
     return builder.bitcast(element(context, builder, array_type, array, index), _VECTOR.as_pointer())
 
@@ -60,6 +63,18 @@ def _places(context: Any, builder: Any, kinds: Any, args: Any) -> list[Any]:
     first = element(context, builder, kinds[0], args[0], args[1])
     places = [element(context, builder, kinds[2], args[2], ir.Constant(_I32, lane)) for lane in range(LANES)]
     return [builder.gep(first, [builder.load(place)]) for place in places]
+
+
+def _call(builder: Any, name: str, *args: Any) -> Any:
+    """A function of LLVM's own on vectors (`llvm.name.v8f64`) or, given doubles, on doubles."""
+    kind = args[0].type
+    suffix = f"v{LANES}f64" if kind == _VECTOR else "f64"
+    function = builder.module.declare_intrinsic(f"llvm.{name}.{suffix}", (), ir.FunctionType(kind, [kind] * len(args)))
+    return builder.call(function, args)
+
+
+def _as_vectors(builder: Any, kinds: Any, values: Any) -> list[Any]:
+    return [value if kind == vector8 else _splat(builder, value) for kind, value in zip(kinds, values, strict=True)]
 
 
 def _splat(builder: Any, value: Any) -> Any:
@@ -97,8 +112,9 @@ def prefetch(typingctx, array, index):  # type: ignore[no-untyped-def]
         pointer = element(context, builder, signature.args[0], args[0], args[1])
         pointer = builder.bitcast(pointer, ir.IntType(8).as_pointer())
         kind = ir.FunctionType(ir.VoidType(), [pointer.type, _I32, _I32, _I32])
+        # the older of LLVM's names has the pointer's type in it
         name = "llvm.prefetch.p0" if "i8" not in str(pointer.type) else "llvm.prefetch.p0i8"
-        function = cgutils.get_or_insert_function(builder.module, kind, name)
+        function = builder.module.declare_intrinsic(name, (), kind)
         builder.call(function, [pointer, _I32(0), _I32(3), _I32(1)])
         return context.get_dummy_value()
 
@@ -208,24 +224,19 @@ maximum = _binary(lambda builder, a, b: _select(builder, ">", a, b))
 
 
 def _register(python_operator: Any, instruction: str) -> None:
-    """a + b and the like of vectors, and of a vector and a number, as one instruction.
+    """a + b and the like of vectors, and of a vector and a number, as one instruction."""
 
-    A template for the processor at hand is the first that numba tries; an `overload` would be the last of dozens, and
-    compiled anew at each use.
-    """
-
-    @infer_global(python_operator)
-    class _Arithmetic(AbstractTemplate):
-        metadata = {"target": "cpu"}  # noqa: RUF012
-
-        def generic(self, args, kws):  # type: ignore[no-untyped-def]
-            if len(args) == 2 and vector8 in args and all(a in (vector8, types.float64) for a in args):
-                return vector8(*args)
+    @type_callable(python_operator)
+    def kind(context):  # type: ignore[no-untyped-def]
+        def of(a, b):  # type: ignore[no-untyped-def]
+            if vector8 in (a, b) and all(one in (vector8, types.float64) for one in (a, b)):
+                return vector8
             return None
 
+        return of
+
     def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
-        vectors = [v if kind == vector8 else _splat(builder, v) for v, kind in zip(args, signature.args)]
-        return getattr(builder, instruction)(*vectors)  # numba adds what the kernel's `fused` says
+        return getattr(builder, instruction)(*_as_vectors(builder, signature.args, args))
 
     for kinds in ((vector8, vector8), (vector8, types.float64), (types.float64, vector8)):
         lower_builtin(python_operator, *kinds)(codegen)
@@ -241,103 +252,44 @@ for _operator, _instruction in (
 
 
 def _register_unary(function: Any, name: str) -> None:
-    @infer_global(function)
-    class _Unary(AbstractTemplate):
-        metadata = {"target": "cpu"}  # noqa: RUF012
-
-        def generic(self, args, kws):  # type: ignore[no-untyped-def]
-            return vector8(vector8) if args == (vector8,) else None
+    @type_callable(function)
+    def kind(context):  # type: ignore[no-untyped-def]
+        return lambda a: vector8 if a == vector8 else None
 
     @lower_builtin(function, vector8)
     def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
-        kind = ir.FunctionType(_VECTOR, [_VECTOR])
-        return builder.call(cgutils.get_or_insert_function(builder.module, kind, f"llvm.{name}.v{LANES}f64"), args)
+        return _call(builder, name, *args)
 
 
 _register_unary(abs, "fabs")
 _register_unary(math.sqrt, "sqrt")
 
 
-def _fused(builder: Any, a: Any, b: Any, c: Any) -> Any:
-    """a b + c, rounded once where the processor can."""
-    return builder.fadd(builder.fmul(a, b, flags=("contract",)), c, flags=("contract",))
+@intrinsic
+def fma(typingctx, a, b, c):  # type: ignore[no-untyped-def]
+    """a b + c, rounded once: of vectors, of vectors and numbers, or of numbers."""
+    kinds = (a, b, c)
+    result = vector8 if vector8 in kinds else types.float64
 
+    def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
+        return _call(builder, "fma", *(_as_vectors(builder, kinds, args) if result == vector8 else args))
 
-def _limited(divide: Callable[[Any, Any, Any], Any]) -> Any:
-    @intrinsic
-    def operation(typingctx, a, b):  # type: ignore[no-untyped-def]
-        def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
-            a, b = args
-            product = builder.fmul(a, b)
-            slope = divide(builder, product, builder.fadd(a, b))
-            zero = _constant(0.0)
-            return builder.select(builder.fcmp_ordered(">", product, zero), slope, zero)
-
-        return vector8(vector8, vector8), codegen
-
-    return operation
+    return result(*(kind if kind == vector8 else types.float64 for kind in kinds)), codegen
 
 
 # the bits of 1/d to one part in eight are these less the bits of d: exponent and mantissa with the opposite sign
 _INVERSE_BITS = 0x7FDE6238502484BA
 
 
-def _by_newton(builder: Any, n: Any, d: Any) -> Any:
-    """n/d to two units in the last place, d normal, in ten multiplications and additions."""
-    bits = builder.sub(ir.Constant(_INTS, [_INVERSE_BITS] * LANES), builder.bitcast(d, _INTS))
-    inverse = builder.bitcast(bits, _VECTOR)
-    minus = builder.fneg(d)
-    for order in (3, 3, 2):
-        error = _fused(builder, minus, inverse, _constant(1.0))
-        if order == 3:
-            error = _fused(builder, error, error, error)
-        inverse = _fused(builder, inverse, error, inverse)
-    return builder.fmul(n, inverse)
-
-
-#: half of Van Leer's harmonic slope of the differences a, b: a b/(a+b) where they agree in sign, else 0
-van_leer = _limited(lambda builder, n, d: builder.fdiv(n, d))
-#: the same to two units in the last place without a division, to be worked out beside one: a processor divides vectors
-#: slowly, but goes on multiplying meanwhile
-van_leer_newton = _limited(_by_newton)
-
-
 @intrinsic
-def _slope_parts(typingctx, a, b, least):  # type: ignore[no-untyped-def]
-    """Product and sum of two differences; 0 and 1 where the product is not above `least`."""
+def rough_inverse(typingctx, d):  # type: ignore[no-untyped-def]
+    """1/d to one part in eight, d normal: where Newton's method begins."""
 
     def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
-        a, b, least = args
-        product = builder.fmul(a, b)
-        sloped = builder.fcmp_ordered(">", product, least)
-        product = builder.select(sloped, product, _constant(0.0))
-        total = builder.select(sloped, builder.fadd(a, b), _constant(1.0))
-        return context.make_tuple(builder, signature.return_type, (product, total))
-
-    return types.UniTuple(vector8, 2)(vector8, vector8, vector8), codegen
-
-
-@intrinsic
-def _reciprocal(typingctx, a):  # type: ignore[no-untyped-def]
-    def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
-        return builder.fdiv(_constant(1.0), args[0])
+        bits = builder.sub(ir.Constant(_INTS, [_INVERSE_BITS] * LANES), builder.bitcast(args[0], _INTS))
+        return builder.bitcast(bits, _VECTOR)
 
     return vector8(vector8), codegen
-
-
-@part
-def van_leer3(a1, b1, least1, a2, b2, least2, a3, b3, least3):  # type: ignore[no-untyped-def]
-    """Three slopes of `van_leer` for one division; zero where the product of differences is not above `least`.
-
-    `least` is `LEAST` or more: below it the product of the three denominators could leave the range of doubles.
-    """
-    n1, d1 = _slope_parts(a1, b1, least1)
-    n2, d2 = _slope_parts(a2, b2, least2)
-    n3, d3 = _slope_parts(a3, b3, least3)
-    d12 = d1 * d2
-    inverse = _reciprocal(d12 * d3)
-    rest = d3 * inverse
-    return (n1 * d2) * rest, (n2 * d1) * rest, n3 * (d12 * inverse)
 
 
 @intrinsic
@@ -385,6 +337,16 @@ def upwind(typingctx, speed, left, right):  # type: ignore[no-untyped-def]
 
 
 @intrinsic
+def where_above(typingctx, value, bound, a, b):  # type: ignore[no-untyped-def]
+    """a where value > bound, else b."""
+
+    def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
+        return builder.select(builder.fcmp_ordered(">", args[0], args[1]), args[2], args[3])
+
+    return vector8(vector8, vector8, vector8, vector8), codegen
+
+
+@intrinsic
 def where_positive(typingctx, condition, a, b):  # type: ignore[no-untyped-def]
     """a where condition > 0, else b."""
 
@@ -409,15 +371,15 @@ def exponential(typingctx, x):  # type: ignore[no-untyped-def]
         x = _select(builder, "<", x, _constant(709.0))
         shifted = builder.fadd(builder.fmul(x, _constant(_LOG2_E)), _constant(_ROUND))
         power = builder.fsub(shifted, _constant(_ROUND))
-        r = _fused(builder, power, _constant(-_LN2_HIGH), x)
-        r = _fused(builder, power, _constant(-_LN2_LOW), r)
+        r = _call(builder, "fma", power, _constant(-_LN2_HIGH), x)
+        r = _call(builder, "fma", power, _constant(-_LN2_LOW), r)
         c = [_constant(1.0 / math.factorial(n)) for n in range(12)]
         r2 = builder.fmul(r, r)
         r4 = builder.fmul(r2, r2)
         r8 = builder.fmul(r4, r4)
-        pair = [_fused(builder, r, c[n + 1], c[n]) for n in range(0, 12, 2)]
-        low = _fused(builder, r4, _fused(builder, r2, pair[3], pair[2]), _fused(builder, r2, pair[1], pair[0]))
-        polynomial = _fused(builder, r8, _fused(builder, r2, pair[5], pair[4]), low)
+        pair = [_call(builder, "fma", r, c[n + 1], c[n]) for n in range(0, 12, 2)]
+        low = _call(builder, "fma", r4, _call(builder, "fma", r2, pair[3], pair[2]), _call(builder, "fma", r2, pair[1], pair[0]))
+        polynomial = _call(builder, "fma", r8, _call(builder, "fma", r2, pair[5], pair[4]), low)
         offset = ir.Constant(_INTS, [_ROUND_BITS - 1023] * LANES)
         exponent = builder.sub(builder.bitcast(shifted, _INTS), offset)
         scale = builder.shl(exponent, ir.Constant(_INTS, [52] * LANES))

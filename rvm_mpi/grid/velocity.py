@@ -11,10 +11,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rvm_mpi.compiling.simd import LANES, LEAST
+from rvm_mpi.compiling.simd import LANES
 
 #: rows of `VelocityGrid.slab`
 Y, Z, Y_FACE, Z_FACE, VALID, Y_LEAST, Y_OPEN, Z_LEAST, Z_OPEN, EDGE, SPEED2, Z_TAPS = range(12)
+#: smallest product of two differences that makes a slope (`limiter.van_leer3`)
+LEAST = 1e-180
 #: nodes around a face that the widest reconstruction takes
 TAPS = 8
 

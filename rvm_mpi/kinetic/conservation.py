@@ -8,9 +8,12 @@ spectral operator has left negative in places has no such factor; there a Gaussi
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
+
+import numpy as np
 
 from rvm_mpi.compiling.declare import part
-from rvm_mpi.compiling.simd import exponential, first_lane, load, splat, spread, store, total
+from rvm_mpi.compiling.simd import exponential, first_lane, fma, load, splat, spread, store, total
 from rvm_mpi.grid.velocity import Y, Z
 
 #: sums kept of a block: 1, x, y, z, xx, xy, xz, yy, yz, zz, x|xi|^2, y|xi|^2, z|xi|^2, |xi|^4
@@ -20,6 +23,36 @@ TOLERANCE = 1e-13
 #: mismatch from which one more step is the last: what it leaves is its square
 LAST_STEP = 1e-8
 NEWTON_STEPS = 40
+
+
+class Correction(NamedTuple):
+    """The factor that corrects a block, as a product, and work space.
+
+    Attributes
+    ----------
+    factor_x, factor_slab : (points_x,), (slab_size,) arrays
+        What the block is to be multiplied by for xi_x and for (xi_y, xi_z).
+    powers : (5 points_x,) array
+    matrix : (5, 5) array
+    centre, coefficients, step : (3,), (5,), (5,) arrays
+    """
+
+    factor_x: np.ndarray
+    factor_slab: np.ndarray
+    powers: np.ndarray
+    matrix: np.ndarray
+    centre: np.ndarray
+    coefficients: np.ndarray
+    step: np.ndarray
+
+
+@part
+def no_factor(work):  # type: ignore[no-untyped-def]
+    """Set the factor to one."""
+    for k in range(work.factor_x.size):
+        work.factor_x[k] = 1.0
+    for n in range(0, work.factor_slab.size, 8):
+        store(work.factor_slab, n, splat(1.0))
 
 
 @part
@@ -58,19 +91,18 @@ def solve(matrix, vector, n):  # type: ignore[no-untyped-def]
 
 
 @part
-def factor_tables(coefficients, centre, points_x, slab_size, x, slab, factor_x, factor_slab):  # type: ignore[no-untyped-def]
-    """The correction's factor as a product: factor_x[k] for xi_x times factor_slab[n] for (xi_y, xi_z).
-
-    `coefficients` are c0, c_x, c_y, c_z, c2; `centre` is u.
-    """
+def factor_tables(grid, work):  # type: ignore[no-untyped-def]
+    """The factor exp(c0 + c . (xi - u) + c2 |xi - u|^2) of the coefficients (c0, c, c2), about the centre u."""
+    centre, coefficients, x, slab, slab_size = work.centre, work.coefficients, grid.x, grid.slab, grid.slab_size
     c0, cx, cy, cz, c2 = coefficients[0], coefficients[1], coefficients[2], coefficients[3], coefficients[4]
-    for k in range(points_x):
+    for k in range(grid.points[0]):
         s = x[k] - centre[0]
-        factor_x[k] = first_lane(exponential(splat(s * (cx + c2 * s))))
+        work.factor_x[k] = first_lane(exponential(splat(s * (cx + c2 * s))))
     for n in range(0, slab_size, 8):
         y = load(slab, Y * slab_size + n) - splat(centre[1])
         z = load(slab, Z * slab_size + n) - splat(centre[2])
-        store(factor_slab, n, exponential(y * (y * c2 + splat(cy)) + z * (z * c2 + splat(cz)) + splat(c0)))
+        along_y, along_z = fma(y, c2, splat(cy)), fma(z, c2, splat(cz))
+        store(work.factor_slab, n, exponential(fma(y, along_y, fma(z, along_z, splat(c0)))))
 
 
 @part
@@ -78,32 +110,31 @@ def _add_planes(planes, f, y, z, a0, a1, a2, a3, a4):  # type: ignore[no-untyped
     """Add to the sums of `weighted_sums` those of f at (y, z), from its sums times x^0 to x^4."""
     m0, mx, my, mz, xx, xy, xz, yy, yz, zz, x3, y3, z3, m4 = planes
     fy, fz = f * y, f * z
-    square = y * y + z * z
-    radial = a2 + square * a0
+    square = fma(y, y, z * z)
+    radial = fma(square, a0, a2)
     return (
-        m0 + f * a0,
-        mx + f * a1,
-        my + fy * a0,
-        mz + fz * a0,
-        xx + f * a2,
-        xy + fy * a1,
-        xz + fz * a1,
-        yy + fy * y * a0,
-        yz + fy * z * a0,
-        zz + fz * z * a0,
-        x3 + f * (a3 + square * a1),
-        y3 + fy * radial,
-        z3 + fz * radial,
-        m4 + f * (a4 + square * (a2 + radial)),
+        fma(f, a0, m0),
+        fma(f, a1, mx),
+        fma(fy, a0, my),
+        fma(fz, a0, mz),
+        fma(f, a2, xx),
+        fma(fy, a1, xy),
+        fma(fz, a1, xz),
+        fma(fy * y, a0, yy),
+        fma(fy * z, a0, yz),
+        fma(fz * z, a0, zz),
+        fma(f, fma(square, a1, a3), x3),
+        fma(fy, radial, y3),
+        fma(fz, radial, z3),
+        fma(f, fma(square, a2 + radial, a4), m4),
     )
 
 
 @part
-def weighted_sums(block, centre, points_x, slab_size, x, slab, factor_x, factor_slab, powers, sums):  # type: ignore[no-untyped-def]
-    """The sums of block * factor_x * factor_slab about `centre`, in the order of `SUMS`.
-
-    `powers` is work space for five doubles a node of the x axis.
-    """
+def weighted_sums(block, centre, grid, work, sums):  # type: ignore[no-untyped-def]
+    """The sums of a block times the factor in `work` about `centre`, in the order of `SUMS`."""
+    points_x, slab_size, x, slab = grid.points[0], grid.slab_size, grid.x, grid.slab
+    factor_x, factor_slab, powers = work.factor_x, work.factor_slab, work.powers
     for k in range(points_x):
         s = x[k] - centre[0]
         f = factor_x[k]
@@ -120,11 +151,16 @@ def weighted_sums(block, centre, points_x, slab_size, x, slab, factor_x, factor_
         b0, b1, b2, b3, b4 = zero, zero, zero, zero, zero
         for k in range(points_x):
             a, b = load(block, k * slab_size + n), load(block, k * slab_size + m)
-            a0, b0 = a0 + a * spread(powers, 5 * k), b0 + b * spread(powers, 5 * k)
-            a1, b1 = a1 + a * spread(powers, 5 * k + 1), b1 + b * spread(powers, 5 * k + 1)
-            a2, b2 = a2 + a * spread(powers, 5 * k + 2), b2 + b * spread(powers, 5 * k + 2)
-            a3, b3 = a3 + a * spread(powers, 5 * k + 3), b3 + b * spread(powers, 5 * k + 3)
-            a4, b4 = a4 + a * spread(powers, 5 * k + 4), b4 + b * spread(powers, 5 * k + 4)
+            w = spread(powers, 5 * k)
+            a0, b0 = fma(a, w, a0), fma(b, w, b0)
+            w = spread(powers, 5 * k + 1)
+            a1, b1 = fma(a, w, a1), fma(b, w, b1)
+            w = spread(powers, 5 * k + 2)
+            a2, b2 = fma(a, w, a2), fma(b, w, b2)
+            w = spread(powers, 5 * k + 3)
+            a3, b3 = fma(a, w, a3), fma(b, w, b3)
+            w = spread(powers, 5 * k + 4)
+            a4, b4 = fma(a, w, a4), fma(b, w, b4)
         y, z = load(slab, Y * slab_size + n) - splat(centre[1]), load(slab, Z * slab_size + n) - splat(centre[2])
         planes = _add_planes(planes, load(factor_slab, n), y, z, a0, a1, a2, a3, a4)
         y, z = load(slab, Y * slab_size + m) - splat(centre[1]), load(slab, Z * slab_size + m) - splat(centre[2])
@@ -176,17 +212,17 @@ def relative_mismatch(sums, density, thermal, spread):  # type: ignore[no-untype
 
 
 @part
-def correct(block, target, dimensions, points_x, slab_size, x, slab, work, sums):  # type: ignore[no-untyped-def]
+def correct(block, target, grid, work, sums):  # type: ignore[no-untyped-def]
     """Find the factor that gives a block the moments `target`.
 
     Parameters
     ----------
     block : (points_x * slab_size,) array
-        Not changed; multiply it by factor_x and factor_slab.
+        Not changed; multiply it by `work.factor_x` and `work.factor_slab`.
     target : (5,) array
         Sums of 1, xi, |xi|^2/2 wanted.
-    work : tuple of arrays
-        factor_x (points_x,), factor_slab (slab_size,), powers (5 points_x,), matrix (5, 5), vectors (3, 5).
+    grid : data.Grid
+    work : Correction
     sums : (14,) array
         Receives the first ten sums of the corrected block about the origin.
 
@@ -195,8 +231,7 @@ def correct(block, target, dimensions, points_x, slab_size, x, slab, work, sums)
     float
         The largest relative mismatch found before the correction, -1 where Newton's iteration failed.
     """
-    factor_x, factor_slab, powers, matrix, vectors = work
-    centre, coefficients, step = vectors[0], vectors[1], vectors[2]
+    centre, coefficients, step, matrix = work.centre, work.coefficients, work.step, work.matrix
     density = target[0]
     for i in range(3):
         centre[i] = target[1 + i] / density
@@ -207,14 +242,11 @@ def correct(block, target, dimensions, points_x, slab_size, x, slab, work, sums)
     thermal = math.sqrt(spread / density)
     for i in range(5):
         coefficients[i] = 0.0
-    for k in range(points_x):
-        factor_x[k] = 1.0
-    for n in range(0, slab_size, 8):
-        store(factor_slab, n, splat(1.0))
+    no_factor(work)
     first = 0.0
     previous = math.inf
     for attempt in range(NEWTON_STEPS):
-        weighted_sums(block, centre, points_x, slab_size, x, slab, factor_x, factor_slab, powers, sums)
+        weighted_sums(block, centre, grid, work, sums)
         square = sums[4] + sums[7] + sums[9]
         mismatch = relative_mismatch(sums, density, thermal, spread)
         if attempt == 0:
@@ -224,7 +256,7 @@ def correct(block, target, dimensions, points_x, slab_size, x, slab, work, sums)
             for i in range(5):
                 step[i] *= 0.5
                 coefficients[i] -= step[i]
-            factor_tables(coefficients, centre, points_x, slab_size, x, slab, factor_x, factor_slab)
+            factor_tables(grid, work)
             continue
         if not mismatch < 1e100:
             return -1.0
@@ -248,12 +280,12 @@ def correct(block, target, dimensions, points_x, slab_size, x, slab, work, sums)
         for i in range(5):
             step[i] *= shorter
             coefficients[i] += step[i]
-        factor_tables(coefficients, centre, points_x, slab_size, x, slab, factor_x, factor_slab)
+        factor_tables(grid, work)
         if mismatch <= LAST_STEP:
             # this step leaves a mismatch of order mismatch^2: no need to look again
             sums[0], sums[1], sums[2], sums[3] = density, 0.0, 0.0, 0.0
-            share = (spread - square) / dimensions
-            for i in range(dimensions):
+            share = (spread - square) / grid.dimensions
+            for i in range(grid.dimensions):
                 sums[4 if i == 0 else (7 if i == 1 else 9)] += share
             about_origin(sums, centre)
             return first
@@ -261,7 +293,7 @@ def correct(block, target, dimensions, points_x, slab_size, x, slab, work, sums)
 
 
 @part
-def add_correction(block, gaussian, target, dimensions, points_x, slab_size, x, slab, work, sums):  # type: ignore[no-untyped-def]
+def add_correction(block, gaussian, target, grid, work, sums):  # type: ignore[no-untyped-def]
     """Add gaussian * (c0 + c . (xi - u) + c2 |xi - u|^2) to a block of any sign, so that its moments are `target`.
 
     Parameters
@@ -270,16 +302,16 @@ def add_correction(block, gaussian, target, dimensions, points_x, slab_size, x, 
         Corrected in place.
     gaussian : (points_x * slab_size,) array
         Positive, best with moments near the target's.
-    target, work, sums
-        As in `correct`; factor_x and factor_slab are left at one.
+    target, grid, work, sums
+        As in `correct`; the factor is left at one.
 
     Returns
     -------
     float
         The largest relative mismatch of the moments that was removed, -1 where the target is not positive.
     """
-    factor_x, factor_slab, powers, matrix, vectors = work
-    centre, step = vectors[0], vectors[2]
+    points_x, slab_size, x, slab = grid.points[0], grid.slab_size, grid.x, grid.slab
+    centre, step, matrix = work.centre, work.step, work.matrix
     density = target[0]
     for i in range(3):
         centre[i] = target[1 + i] / density
@@ -287,16 +319,13 @@ def add_correction(block, gaussian, target, dimensions, points_x, slab_size, x, 
     if not (density > 0.0 and spread > 0.0):
         return -1.0
     thermal = math.sqrt(spread / density)
-    for k in range(points_x):
-        factor_x[k] = 1.0
-    for n in range(0, slab_size, 8):
-        store(factor_slab, n, splat(1.0))
-    weighted_sums(block, centre, points_x, slab_size, x, slab, factor_x, factor_slab, powers, sums)
+    no_factor(work)
+    weighted_sums(block, centre, grid, work, sums)
     square = sums[4] + sums[7] + sums[9]
     mismatch = relative_mismatch(sums, density, thermal, spread)
     step[0], step[1], step[2], step[3] = density - sums[0], -sums[1], -sums[2], -sums[3]
     step[4] = spread - square
-    weighted_sums(gaussian, centre, points_x, slab_size, x, slab, factor_x, factor_slab, powers, sums)
+    weighted_sums(gaussian, centre, grid, work, sums)
     _moment_matrix(sums, matrix)
     if not solve(matrix, step, 5):
         return -1.0
@@ -306,9 +335,10 @@ def add_correction(block, gaussian, target, dimensions, points_x, slab_size, x, 
         for n in range(0, slab_size, 8):
             y = load(slab, Y * slab_size + n) - splat(centre[1])
             z = load(slab, Z * slab_size + n) - splat(centre[2])
-            polynomial = y * (y * step[4] + splat(step[2])) + z * (z * step[4] + splat(step[3])) + splat(along)
+            along_y, along_z = fma(y, step[4], splat(step[2])), fma(z, step[4], splat(step[3]))
+            polynomial = fma(y, along_y, fma(z, along_z, splat(along)))
             at = k * slab_size + n
-            store(block, at, load(block, at) + load(gaussian, at) * polynomial)
-    weighted_sums(block, centre, points_x, slab_size, x, slab, factor_x, factor_slab, powers, sums)
+            store(block, at, fma(load(gaussian, at), polynomial, load(block, at)))
+    weighted_sums(block, centre, grid, work, sums)
     about_origin(sums, centre)
     return mismatch

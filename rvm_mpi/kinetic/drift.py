@@ -14,12 +14,13 @@ from __future__ import annotations
 
 import math
 from math import comb
+from typing import NamedTuple
 
 import numpy as np
 
 from rvm_mpi.compiling.declare import part
 from rvm_mpi.compiling.simd import (
-    LEAST,
+    fma,
     load,
     maximum,
     minimum,
@@ -29,10 +30,10 @@ from rvm_mpi.compiling.simd import (
     spread,
     store,
     upwind,
-    van_leer3,
     where_positive,
 )
-from rvm_mpi.grid.velocity import TAPS, Y_FACE, Y_LEAST, Y_OPEN, Z_FACE, Z_LEAST, Z_OPEN, Z_TAPS, Y, Z
+from rvm_mpi.grid.velocity import LEAST, TAPS, Y_FACE, Y_LEAST, Y_OPEN, Z_FACE, Z_LEAST, Z_OPEN, Z_TAPS, Y, Z
+from rvm_mpi.kinetic.limiter import van_leer3
 
 #: order of the linear reconstructions by their name in the job file
 ORDERS = {"kappa": 3, "seventh-order": 7, "seventh-order-positive": 7}
@@ -45,10 +46,35 @@ SCRATCH_ROWS = 9
 PIECE = 256
 
 
-def scratch_size(points: tuple[int, int, int], slab_size: int) -> int:
+class Drift(NamedTuple):
+    """a(xi) = -(own + xi . gradient) xi + push of a cell.
+
+    own is A = d_t omega/omega and the drag's rate together; rising and falling are d omega/dx and d omega/dy as
+    velocities that go up and down along that direction see it; push is beta u/omega.
+    """
+
+    own: float
+    rising_x: float
+    falling_x: float
+    rising_y: float
+    falling_y: float
+    push: tuple[float, float, float]
+
+
+class Mix(NamedTuple):
+    """What becomes of the change: weight_old * old + weight_new * (g + dt * change); `old` as g, with its offset."""
+
+    old: np.ndarray
+    weight_old: float
+    weight_new: float
+    dt: float
+
+
+@part
+def scratch_size(points, slab_size):  # type: ignore[no-untyped-def]
     """Doubles of work space: rows of a slab, zeros before and after each, coefficients, fluxes between pieces."""
-    rows = SCRATCH_ROWS * (slab_size + 2 * _guard.plain(points[2]))
-    return rows + 3 * TAPS + points[0] * _whole_vectors.plain(points[2])
+    rows = SCRATCH_ROWS * (slab_size + 2 * _guard(points[2]))
+    return rows + 3 * TAPS + points[0] * _whole_vectors(points[2])
 
 
 @part
@@ -95,37 +121,23 @@ def stencil(order: int) -> np.ndarray:
 
 
 @part
-def fastest_turning(rates, half_width):  # type: ignore[no-untyped-def]
+def fastest_turning(drift, half_width):  # type: ignore[no-untyped-def]
     """The largest |A + xi . grad omega| in the box."""
-    turning = abs(rates[0]) + max(abs(rates[1]), abs(rates[2])) * half_width[0]
-    return turning + max(abs(rates[3]), abs(rates[4])) * half_width[1]
+    turning = abs(drift.own) + max(abs(drift.rising_x), abs(drift.falling_x)) * half_width[0]
+    return turning + max(abs(drift.rising_y), abs(drift.falling_y)) * half_width[1]
 
 
 @part
-def turning_rates(rates):  # type: ignore[no-untyped-def]
-    """A and d_x omega, for velocities that go up and down, and d_y omega likewise, for whole vectors."""
-    return rates[0], rates[1], rates[2], splat(rates[3]), splat(rates[4])
-
-
-@part
-def pushes(rates):  # type: ignore[no-untyped-def]
-    """1/h of the three velocity directions, and beta u/h."""
-    per_x, per_y, per_z = rates[8], rates[9], rates[10]
-    return per_x, per_y, per_z, rates[5] * per_x, rates[6] * per_y, rates[7] * per_z
-
-
-@part
-def update(g, cell, grid, rates, old, weight_old, weight_new, dt, scratch, result):  # type: ignore[no-untyped-def]
-    """result = weight_old * old + weight_new * (g + dt * (result + drift)) for the block of one cell.
+def update(g, cell, grid, drift, mix, scratch, result):  # type: ignore[no-untyped-def]
+    """result = the mix of g + dt * (result + drift) with an old block, for one cell.
 
     Parameters
     ----------
     g : (n,) array
-        Blocks; this cell's begins at `cell`, which is also its offset in `old`.
-    grid : stage.Grid
-    rates : (11,) array
-        A, d_x omega for velocities that go up and down, d_y omega likewise, beta u_x, beta u_y, beta u_z, then 1/h of
-        the three velocity directions.
+        Blocks; this cell's begins at `cell`, which is also its offset in `mix.old`.
+    grid : data.Grid
+    drift : Drift
+    mix : Mix
     scratch : (scratch_size,) array
         Work space; zeros between its rows.
     result : (block,) array
@@ -138,8 +150,11 @@ def update(g, cell, grid, rates, old, weight_old, weight_new, dt, scratch, resul
     slope_x, slope_y, slope_z = guard, row + guard, 2 * row + guard
     through_x, through_y, slope_next = 3 * row + guard, 4 * row + guard, 5 * row + guard
     turns, speeds_y, speeds_z = 6 * row + guard, 7 * row + guard, 8 * row + guard
-    a, rising_x, falling_x, rising_y, falling_y = turning_rates(rates)
-    per_x, per_y, per_z, push_x, push_y, push_z = pushes(rates)
+    a, rising_x, falling_x = drift.own, drift.rising_x, drift.falling_x
+    rising_y, falling_y = splat(drift.rising_y), splat(drift.falling_y)
+    per_x, per_y, per_z = grid.per_spacing
+    push_x, push_y, push_z = drift.push[0] * per_x, drift.push[1] * per_y, drift.push[2] * per_z
+    old, weight_old, weight_new, dt = mix.old, mix.weight_old, mix.weight_new, mix.dt
     zero = splat(0.0)
     has_y, has_z = points_y > 1, points_z > 1
     mix_old = weight_old != 0.0
@@ -190,7 +205,7 @@ def update(g, cell, grid, rates, old, weight_old, weight_new, dt, scratch, resul
                 c = load(g, base + n)
                 r = load(result, at + n)
 
-                s = load(scratch, turns + n) * sx1 + splat(sx0)
+                s = fma(load(scratch, turns + n), sx1, splat(sx0))
                 left = c + load(scratch, slope_x + n)
                 right = load(g, base + slab_size + n) - load(scratch, slope_next + n)
                 f = upwind(s, left, right)
@@ -198,22 +213,22 @@ def update(g, cell, grid, rates, old, weight_old, weight_new, dt, scratch, resul
                 store(scratch, through_x + n, f)
 
                 if has_y:
-                    s = load(slab, Y_FACE * slab_size + n) * along_y + load(scratch, speeds_y + n)
+                    s = fma(load(slab, Y_FACE * slab_size + n), along_y, load(scratch, speeds_y + n))
                     left = c + load(scratch, slope_y + n)
                     right = load(g, base + n + points_z) - load(scratch, slope_y + n + points_z)
                     f = upwind(s, left, right)
                     store(scratch, through_y + n, f)
                     r = r + (load(scratch, through_y + n - points_z) - f)
                 if has_z:
-                    s = load(slab, Z_FACE * slab_size + n) * along_z + load(scratch, speeds_z + n)
+                    s = fma(load(slab, Z_FACE * slab_size + n), along_z, load(scratch, speeds_z + n))
                     left = c + load(scratch, slope_z + n)
                     right = load(g, base + n + 1) - load(scratch, slope_z + n + 1)
                     f = upwind(s, left, right)
                     r = r + (shifted(before_z, f) - f)
                     before_z = f
-                r = (c + r * dt) * weight_new
+                r = fma(r, dt, c) * weight_new
                 if mix_old:
-                    r = r + load(old, cell + at + n) * weight_old
+                    r = fma(load(old, cell + at + n), weight_old, r)
                 store(result, at + n, r)
             if end < slab_size:
                 for n in range(0, above, 8):
@@ -252,7 +267,7 @@ def within_bounds(flux, speed, most, left, right):  # type: ignore[no-untyped-de
 
 
 @part
-def update_linear(g, cell, grid, rates, old, weight_old, weight_new, dt, scratch, result):  # type: ignore[no-untyped-def]
+def update_linear(g, cell, grid, drift, mix, scratch, result):  # type: ignore[no-untyped-def]
     """`update` with the linear reconstruction of `grid.stencil` in place of Van Leer's limiter."""
     points_x, points_y, points_z = grid.points
     slab_size, x, x_face, slab, coefficients = grid.slab_size, grid.x, grid.x_face, grid.slab, grid.stencil
@@ -263,10 +278,13 @@ def update_linear(g, cell, grid, rates, old, weight_old, weight_new, dt, scratch
     own, in_y, in_z = guard, row + guard, 2 * row + guard
     through_x, through_y = 3 * row + guard, 4 * row + guard
     at_x = SCRATCH_ROWS * row
-    a, rising_x, falling_x, rising_y, falling_y = turning_rates(rates)
-    per_x, per_y, per_z, push_x, push_y, push_z = pushes(rates)
+    a, rising_x, falling_x = drift.own, drift.rising_x, drift.falling_x
+    rising_y, falling_y = splat(drift.rising_y), splat(drift.falling_y)
+    per_x, per_y, per_z = grid.per_spacing
+    push_x, push_y, push_z = drift.push[0] * per_x, drift.push[1] * per_y, drift.push[2] * per_z
+    old, weight_old, weight_new, dt = mix.old, mix.weight_old, mix.weight_new, mix.dt
     half_width = grid.half_width
-    most = fastest_turning(rates, half_width)
+    most = fastest_turning(drift, half_width)
     most_x = most_outflow(most * half_width[0] * per_x + abs(push_x), most)
     most_y = most_outflow(most * half_width[1] * per_y + abs(push_y), most)
     most_z = most_outflow(most * half_width[2] * per_z + abs(push_z), most)
@@ -310,9 +328,9 @@ def update_linear(g, cell, grid, rates, old, weight_old, weight_new, dt, scratch
             flux, turned, bend = zero, zero, zero
             for t in range(TAPS):
                 there = load(g, cell + min(max(k + t - below, 0), points_x - 1) * slab_size + n)
-                flux = flux + there * spread(scratch, at_x + t)
-                turned = turned + there * spread(scratch, at_x + TAPS + t)
-                bend = bend + there * spread(scratch, at_x + 2 * TAPS + t)
+                flux = fma(there, spread(scratch, at_x + t), flux)
+                turned = fma(there, spread(scratch, at_x + TAPS + t), turned)
+                bend = fma(there, spread(scratch, at_x + 2 * TAPS + t), bend)
             speed = turn_y * sx1 + splat(sx0)
             f = flux - turn_y * turned - maximum(speed, zero - speed) * bend
             if bounded:
@@ -326,8 +344,8 @@ def update_linear(g, cell, grid, rates, old, weight_old, weight_new, dt, scratch
                 flux, bend = zero, zero
                 for t in range(TAPS):
                     there = n + (t - below) * points_z
-                    flux = flux + load(scratch, in_y + there) * coefficients[0, t]
-                    bend = bend + load(scratch, own + there) * coefficients[1, t]
+                    flux = fma(load(scratch, in_y + there), coefficients[0, t], flux)
+                    bend = fma(load(scratch, own + there), coefficients[1, t], bend)
                 f = flux - maximum(speed, zero - speed) * bend
                 if bounded:
                     f = within_bounds(f, speed, most_y, load(scratch, own + n), load(scratch, own + n + points_z))
@@ -340,26 +358,24 @@ def update_linear(g, cell, grid, rates, old, weight_old, weight_new, dt, scratch
                 flux, bend = zero, zero
                 for t in range(TAPS):
                     valid = load(slab, (Z_TAPS + t) * slab_size + n)
-                    flux = flux + load(scratch, in_z + n + t - below) * (valid * coefficients[0, t])
-                    bend = bend + load(scratch, own + n + t - below) * (valid * coefficients[1, t])
+                    flux = fma(load(scratch, in_z + n + t - below), valid * coefficients[0, t], flux)
+                    bend = fma(load(scratch, own + n + t - below), valid * coefficients[1, t], bend)
                 f = flux - maximum(speed, zero - speed) * bend
                 if bounded:
                     f = within_bounds(f, speed, most_z, load(scratch, own + n), load(scratch, own + n + 1))
                 f = f * load(slab, Z_OPEN * slab_size + n)
                 r = r + (shifted(before_z, f) - f)
                 before_z = f
-            r = load(scratch, own + n) + r * dt
+            r = fma(r, dt, load(scratch, own + n)) * weight_new
             if mix_old:
-                r = r * weight_new + load(old, cell + at + n) * weight_old
-            else:
-                r = r * weight_new
+                r = fma(load(old, cell + at + n), weight_old, r)
             store(result, at + n, r)
 
 
 @part
-def apply(stencil, g, cell, grid, rates, old, weight_old, weight_new, dt, scratch, result):  # type: ignore[no-untyped-def]
-    """`update`, or `update_linear` where the grid has a stencil: only the one that is used is compiled."""
-    if stencil is None:
-        update(g, cell, grid, rates, old, weight_old, weight_new, dt, scratch, result)
+def apply(g, cell, grid, drift, mix, scratch, result):  # type: ignore[no-untyped-def]
+    """`update`, or `update_linear` where the grid has a stencil."""
+    if grid.linear:
+        update_linear(g, cell, grid, drift, mix, scratch, result)
     else:
-        update_linear(g, cell, grid, rates, old, weight_old, weight_new, dt, scratch, result)
+        update(g, cell, grid, drift, mix, scratch, result)

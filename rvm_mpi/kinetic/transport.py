@@ -8,9 +8,14 @@ together.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
+import numpy as np
+
 from rvm_mpi.compiling.declare import part
-from rvm_mpi.compiling.simd import load, prefetch, splat, store, total, van_leer, van_leer_newton, where_positive
+from rvm_mpi.compiling.simd import fma, load, prefetch, splat, store, total, where_positive
 from rvm_mpi.grid.velocity import Y, Z
+from rvm_mpi.kinetic.limiter import van_leer, van_leer_newton
 
 #: nodes of a slab whose face values are kept at a time, few enough for the nearest cache
 PIECE = 128
@@ -19,46 +24,52 @@ PIECE = 128
 AHEAD = 128
 
 
+class Strips(NamedTuple):
+    """Fluxes through faces that the next cells need: west (block,); south, blocks of a row of cells.
+
+    spare (block,) takes the place of one where a ghost cell has no such face; faces (2 PIECE,) is work space.
+    """
+
+    west: np.ndarray
+    south: np.ndarray
+    spare: np.ndarray
+    faces: np.ndarray
+
+
+class UpperFaces(NamedTuple):
+    """A cell's upper faces.
+
+    Attributes
+    ----------
+    along_x, along_y : int
+        From a cell's block to that of the cell beyond its upper face.
+    per_dx, per_dy : float
+        1 over the cell's widths; 0 in an unused direction.
+    omegas : tuple of four floats
+        omega at the upper x face as the lower and as the upper cell see it, for velocities that go up and down; then
+        the same of the upper y face.
+    """
+
+    along_x: int
+    along_y: int
+    per_dx: float
+    per_dy: float
+    omegas: tuple[float, float, float, float]
+
+
 @part
-def upper_fluxes(  # type: ignore[no-untyped-def]
-    g,
-    cell,
-    along_x,
-    along_y,
-    points_x,
-    slab_size,
-    below,
-    x,
-    slab,
-    omegas,
-    per_dx,
-    per_dy,
-    west,
-    south,
-    south_at,
-    faces,
-    change,
-    moments_x,
-    moments_y,
-):
+def upper_fluxes(g, cell, grid, upper, lower, change, moments_x, moments_y):  # type: ignore[no-untyped-def]
     """The fluxes through a cell's upper faces, and the rate of change they and the lower ones make.
 
     Parameters
     ----------
     g : (n,) array
-        Blocks of cells; this one's begins at `cell`, its upper neighbours' at cell + along_x and cell + along_y.
-    below : int
-        Slab nodes with xi_y < 0.
-    omegas : tuple of four floats
-        omega at the upper x face as the lower and as the upper cell see it, for velocities that go up and down; then
-        the same of the upper y face.
-    per_dx, per_dy : float
-        1 over the cell's widths; 0 in an unused direction.
-    west, south : arrays
-        Fluxes through the lower faces, `south` from the offset `south_at`; overwritten with those through the upper
-        ones, the next cells' lower faces.
-    faces : (2 PIECE,) array
-        Work space.
+        Blocks of cells; this one's begins at `cell`.
+    grid : data.Grid
+    upper : UpperFaces
+    lower : tuple
+        West and south: fluxes through the lower faces, overwritten with those through the upper ones, the next cells'
+        lower faces; the offset in south; work space (2 PIECE,).
     change : (block,) array
         Receives what enters minus what leaves.
     moments_x, moments_y : (5,) arrays
@@ -70,6 +81,9 @@ def upper_fluxes(  # type: ignore[no-untyped-def]
     A sweep begins with this function on the ghost cells below its first row and column, so that a face has the same
     flux to the last bit whichever rank works it out.
     """
+    along_x, along_y, per_dx, per_dy, omegas = upper
+    west, south, south_at, faces = lower
+    points_x, slab_size, below, x, slab = grid.points[0], grid.slab_size, grid.below, grid.x, grid.slab
     zero = splat(0.0)
     m0, mx, my, mz, m2 = zero, zero, zero, zero, zero
     p0, px, py, pz, p2 = zero, zero, zero, zero, zero
@@ -119,18 +133,18 @@ def upper_fluxes(  # type: ignore[no-untyped-def]
                 store(west, at + n, f)
                 store(south, south_at + at + n, h)
                 store(change, at + n, difference)
-                square = y * y + z * z
+                square = fma(y, y, z * z)
                 s0 = s0 + f
-                sy = sy + f * y
-                sz = sz + f * z
-                s2 = s2 + f * square
+                sy = fma(f, y, sy)
+                sz = fma(f, z, sz)
+                s2 = fma(f, square, s2)
                 momentum = h * omega_y
                 energy = momentum * omega_y
                 q0 = q0 + h
                 q1 = q1 + momentum
-                qy = qy + momentum * y
-                qz = qz + momentum * z
-                q2 = q2 + energy * square
+                qy = fma(momentum, y, qy)
+                qz = fma(momentum, z, qz)
+                q2 = fma(energy, square, q2)
                 q3 = q3 + energy
         m0, mx, my, mz = m0 + s0, mx + s0 * (omega * xk), my + sy * omega, mz + sz * omega
         m2 = m2 + (s2 + s0 * (xk * xk)) * (omega * omega)

@@ -203,7 +203,7 @@ class KineticStepper:
         per = [1.0 / h if q < domain.dimensions else 0.0 for q, h in enumerate(domain.spacing)]
         self.space = Space(domain.dimensions, nx, ny, wx, wy, per[0], per[1])
         self.work = Work.create(self.grid, nx)
-        guard = reach.plain(self.grid.points[2], self.grid.slab_size)
+        guard = reach.py_func(self.grid.points[2], self.grid.slab_size)
         self.g, self._other = (domain.empty(GHOSTS, self.grid.block, guard) for _ in range(2))
         self.now, self._middle, self._next = (self._cells() for _ in range(3))
         self._growth, self._depth = np.zeros((ny, nx)), np.zeros((ny, nx))

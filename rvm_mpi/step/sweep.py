@@ -168,7 +168,7 @@ class Work(NamedTuple):
         from rvm_mpi.grid.domain import aligned
 
         nvx = grid.points[0]
-        guarded = (grid.block + 2 * drift.reach.plain(grid.points[2], grid.slab_size),)
+        guarded = (grid.block + 2 * drift.reach.py_func(grid.points[2], grid.slab_size),)
         return cls(
             west=aligned((grid.block,)),
             south=aligned((grid.block * nx,)),

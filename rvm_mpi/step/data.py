@@ -1,0 +1,353 @@
+"""What the kernels of a step take and leave: named numbers and arrays.
+
+Sums over the velocity grid are plain sums over its nodes, without the volume of a velocity cell.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from rvm_mpi.collisions.es_bgk import Fit, Gaussian
+from rvm_mpi.compiling.declare import part
+from rvm_mpi.grid.domain import aligned
+from rvm_mpi.grid.velocity import VelocityGrid, Y
+from rvm_mpi.kinetic import drift
+from rvm_mpi.kinetic.conservation import SUMS, Correction
+from rvm_mpi.kinetic.transport import PIECE, Strips
+
+#: what a cell's `status` says
+HEALTHY, TOO_COLD_FOR_GRID, NO_GAUSSIAN, NO_CORRECTION, NOT_POSITIVE, NOT_A_NUMBER = range(6)
+
+#: what a stage leaves of each cell: the smallest and largest g; the mismatch of its moments that was corrected; 1
+#: where a Gaussian had to take the nearest tensor that the grid can hold; sums of max|a|/h over the directions of space
+#: and of velocity; energy that collisions took, as far as it counts in the step, and their |d ln E/dt|; shares of mass
+#: and energy in the outermost velocities, after a last stage or one of no length; one of the states above
+REPORT = np.dtype(
+    [
+        ("smallest", "f8"),
+        ("largest", "f8"),
+        ("mismatch", "f8"),
+        ("replaced", "f8"),
+        ("transport", "f8"),
+        ("drift", "f8"),
+        ("dissipated", "f8"),
+        ("cooling_rate", "f8"),
+        ("box_mass", "f8"),
+        ("box_energy", "f8"),
+        ("status", "i8"),
+    ]
+)
+
+
+class Grid(NamedTuple):
+    """The velocity grid as numbers and arrays for the kernels (`velocity.py`).
+
+    stencil (2, taps) are the coefficients of the drift's linear reconstruction, where `linear`; else it is Van Leer's.
+    bounded: whether the linear fluxes are kept from making g negative.
+    """
+
+    dimensions: int
+    points: tuple[int, int, int]
+    slab_size: int
+    block: int
+    below: int
+    weight: float
+    x: np.ndarray
+    x_face: np.ndarray
+    slab: np.ndarray
+    nodes: np.ndarray
+    per_spacing: tuple[float, float, float]
+    half_width: tuple[float, float, float]
+    stencil: np.ndarray
+    linear: bool
+    bounded: bool
+
+
+class Space(NamedTuple):
+    """The cells of a rank: counts, ghost widths of g, 1/dx and 1/dy, 0 in an unused direction."""
+
+    dimensions: int
+    nx: int
+    ny: int
+    wx: int
+    wy: int
+    per_dx: float
+    per_dy: float
+
+
+class Model(NamedTuple):
+    """What is solved: numbers the kernels branch on or multiply by.
+
+    Attributes
+    ----------
+    kinetic : bool
+        Whether omega follows the carried moments.
+    conservative : bool
+        Whether g is corrected to them.
+    carried : bool
+        Whether moments are carried: for either of these.
+    relaxes : bool
+        Whether g relaxes to a Gaussian implicitly.
+    explicit : bool
+        Whether an operator's rate of g is given; what relaxes then is its penalisation.
+    nu, relaxation, density_power, temperature_power, cooling : float
+        1 - 1/Pr, and the laws of the rates, Knudsen number included.
+    courant : float
+        The largest Courant number that transport and drift are taken at together: beyond it a cell's drift is taken by
+        itself, in as many substeps as it needs.
+    """
+
+    kinetic: bool
+    conservative: bool
+    carried: bool
+    relaxes: bool
+    explicit: bool
+    nu: float
+    relaxation: float
+    density_power: float
+    temperature_power: float
+    cooling: float
+    courant: float
+
+
+class Cells(NamedTuple):
+    """Fields of the cells at one time level: what a stage reads, and what it writes of the next.
+
+    omega has two ghost cells in each direction in use; carried (ny, nx, 5) are rho, rho u, E of f; sums
+    (ny, nx, 10) those of 1, xi, xi xi over g's nodes.
+    """
+
+    omega: np.ndarray
+    carried: np.ndarray
+    sums: np.ndarray
+
+    @classmethod
+    def create(cls, space: Space) -> Cells:
+        """Room for the cells of a rank."""
+        nx, ny = space.nx, space.ny
+        omega = np.ones((ny + 2 * space.wy, nx + 2 * space.wx))
+        return cls(omega, np.zeros((ny, nx, 5)), np.zeros((ny, nx, 10)))
+
+
+class Sides(NamedTuple):
+    """Rates of mass, momentum and energy through the outermost faces of a rank, along x (2, ny, 5) and y (2, nx, 5).
+
+    Lower side first; counted along +x and +y, per area of face times 1/dx or 1/dy. `through` is what a stage finds and
+    leaves; `beyond` is the part of it that no ghost cell's g says (`walls.py`), zero at sides between ranks.
+    """
+
+    through_x: np.ndarray
+    through_y: np.ndarray
+    beyond_x: np.ndarray
+    beyond_y: np.ndarray
+
+    @classmethod
+    def create(cls, nx: int, ny: int) -> Sides:
+        """Zeros for the sides of nx x ny cells."""
+        x, y = np.zeros((2, 2, ny, 5)), np.zeros((2, 2, nx, 5))
+        return cls(x[0], y[0], x[1], y[1])
+
+    def of(self, side: int) -> tuple[np.ndarray, np.ndarray]:
+        """`through` and `beyond` of a side, x lower, x upper, y lower, y upper in order: views (n, 5)."""
+        through, beyond = ((self.through_x, self.beyond_x), (self.through_y, self.beyond_y))[side // 2]
+        return through[side % 2], beyond[side % 2]
+
+
+class Fields(NamedTuple):
+    """What a stage reads and writes of a rank's cells.
+
+    Attributes
+    ----------
+    g, old, out : flat arrays
+        Ghosted blocks: g of the stage before, g^n, and those that receive the result. The last stage's `out` is g^n's
+        own array: a cell of g^n is read before it is written.
+    start, begin, new : Cells
+        At t^n; of `g`; receives what belongs to `out` (interior of omega, carried, sums).
+    growth, omega_end : (ny, nx) arrays
+        ln(omega^(n+1)/omega^n)/dt and omega^(n+1), where the scaling does not follow from the kinetic moments.
+    depth : (ny, nx) array
+        Relaxation depth dt tau/eps, averaged over the step; the first stage writes it. Under an explicit operator it is
+        given: that of the penalisation.
+    source, heating : flat array, (ny, nx) array
+        Rate of g by an explicit operator, blocks without ghosts, and the rate of f's energy with it.
+    report : (ny, nx) array of REPORT
+    sides : Sides
+    """
+
+    g: np.ndarray
+    old: np.ndarray
+    out: np.ndarray
+    start: Cells
+    begin: Cells
+    new: Cells
+    growth: np.ndarray
+    omega_end: np.ndarray
+    depth: np.ndarray
+    source: np.ndarray
+    heating: np.ndarray
+    report: np.ndarray
+    sides: Sides
+
+
+class Here(NamedTuple):
+    """One cell: its indices, those in arrays with ghosts, and where its block begins in ghosted g."""
+
+    j: int
+    i: int
+    y: int
+    x: int
+    block: int
+
+
+class Moments(NamedTuple):
+    """Moments of a cell's fluxes and what they make.
+
+    west, east, north (5,) and south (nx, 5): sums of 1, omega xi, omega^2 |xi|^2 over the fluxes through its faces,
+    `south` for a row of cells; rate (5,): of mass, momentum and energy.
+    """
+
+    west: np.ndarray
+    east: np.ndarray
+    north: np.ndarray
+    south: np.ndarray
+    rate: np.ndarray
+
+
+class Sums(NamedTuple):
+    """Sums of a cell's block over the nodes.
+
+    wanted (5,): of 1, xi, |xi|^2/2 in the stage's result; target (5,): what its explicit part is corrected to;
+    result (SUMS,): of the explicit part; before (5,): of g^n.
+    """
+
+    wanted: np.ndarray
+    target: np.ndarray
+    result: np.ndarray
+    before: np.ndarray
+
+
+class Work(NamedTuple):
+    """Work space of a stage.
+
+    strips: fluxes through faces; result (block,): the explicit part; flow: three blocks with room before and after, for
+    a drift in substeps; scratch: of the drift; extremes (16,): two vectors.
+    """
+
+    strips: Strips
+    result: np.ndarray
+    gaussian: Gaussian
+    flow: tuple[np.ndarray, np.ndarray, np.ndarray]
+    scratch: np.ndarray
+    moments: Moments
+    sums: Sums
+    correction: Correction
+    fit: Fit
+    extremes: np.ndarray
+
+
+@part
+def here(grid, space, j, i):  # type: ignore[no-untyped-def]
+    """The cell (j, i), a ghost cell where an index is negative."""
+    y, x = j + space.wy, i + space.wx
+    return Here(j, i, y, x, (y * (space.nx + 2 * space.wx) + x) * grid.block)
+
+
+@part
+def _take(buffer, at, size):  # type: ignore[no-untyped-def]
+    """So many doubles of a buffer, and where what follows begins: at a whole vector."""
+    return buffer[at : at + size], at + (size + 7) // 8 * 8
+
+
+@part
+def lay_out(grid, nx, buffer):  # type: ignore[no-untyped-def]
+    """Work space for rows of nx cells in one flat array, and its length; plain Python can do it too.
+
+    One array in place of thirty: numba looks at the type of each argument in each call.
+    """
+    block, slab_size, points_x = grid.block, grid.slab_size, grid.points[0]
+    guarded = block + 2 * drift.reach(grid.points[2], slab_size)
+    west, at = _take(buffer, 0, block)
+    south, at = _take(buffer, at, block * nx)
+    faces, at = _take(buffer, at, 2 * PIECE)
+    spare, at = _take(buffer, at, block)
+    result, at = _take(buffer, at, block)
+    values, at = _take(buffer, at, block)
+    flow0, at = _take(buffer, at, guarded)
+    flow1, at = _take(buffer, at, guarded)
+    flow2, at = _take(buffer, at, guarded)
+    scratch, at = _take(buffer, at, drift.scratch_size(grid.points, slab_size))
+    mean, at = _take(buffer, at, 3)
+    tensor, at = _take(buffer, at, 6)
+    fitted, at = _take(buffer, at, 10)
+    moments_west, at = _take(buffer, at, 5)
+    moments_east, at = _take(buffer, at, 5)
+    moments_north, at = _take(buffer, at, 5)
+    moments_south, at = _take(buffer, at, 5 * nx)
+    rate, at = _take(buffer, at, 5)
+    wanted, at = _take(buffer, at, 5)
+    target, at = _take(buffer, at, 5)
+    sums, at = _take(buffer, at, SUMS)
+    before, at = _take(buffer, at, 5)
+    extremes, at = _take(buffer, at, 16)
+    factor_x, at = _take(buffer, at, points_x)
+    factor_slab, at = _take(buffer, at, slab_size)
+    powers, at = _take(buffer, at, 5 * points_x)
+    matrix, at = _take(buffer, at, 25)
+    centre, at = _take(buffer, at, 3)
+    coefficients, at = _take(buffer, at, 5)
+    step, at = _take(buffer, at, 5)
+    theta, at = _take(buffer, at, 10)
+    fourth, at = _take(buffer, at, 75)
+    plane, at = _take(buffer, at, 600)
+    products, at = _take(buffer, at, 100)
+    fit_step, at = _take(buffer, at, 10)
+    fit_wanted, at = _take(buffer, at, 10)
+    scale, at = _take(buffer, at, 10)
+    axis, at = _take(buffer, at, 3)
+    inverse, at = _take(buffer, at, 6)
+    work = Work(
+        Strips(west, south, spare, faces),
+        result,
+        Gaussian(values, mean, tensor, fitted),
+        (flow0, flow1, flow2),
+        scratch,
+        Moments(moments_west, moments_east, moments_north, moments_south.reshape((nx, 5)), rate),
+        Sums(wanted, target, sums, before),
+        Correction(factor_x, factor_slab, powers, matrix.reshape((5, 5)), centre, coefficients, step),
+        Fit(theta, fourth, plane, products.reshape((10, 10)), fit_step, fit_wanted, scale, axis, inverse),
+        extremes,
+    )
+    return work, at
+
+
+def work_space(grid: Grid, nx: int) -> np.ndarray:
+    """A flat array for `lay_out`."""
+    no_memory = np.broadcast_to(np.zeros(()), (2**48,))  # laid out there, its length is seen
+    buffer = aligned((lay_out(grid, nx, no_memory)[1],))
+    buffer[:] = 0.0
+    return buffer
+
+
+def kernel_grid(grid: VelocityGrid, reconstruction: str = "van-leer") -> Grid:
+    """The grid's numbers and arrays, and the drift's reconstruction by its name, as the kernels take them."""
+    y = grid.slab[Y, : grid.slab_points]
+    order = drift.ORDERS.get(reconstruction, 0)
+    return Grid(
+        dimensions=grid.dimensions,
+        points=grid.points,
+        slab_size=grid.slab_size,
+        block=grid.block,
+        below=int(np.count_nonzero(y < 0)) if grid.points[1] > 1 else 0,
+        weight=grid.weight,
+        x=grid.x,
+        x_face=grid.x_face,
+        slab=grid.slab.reshape(-1),
+        nodes=grid.nodes,
+        per_spacing=(1 / grid.spacing[0], 1 / grid.spacing[1], 1 / grid.spacing[2]),
+        half_width=grid.half_width,
+        stencil=drift.stencil(order) if order else np.zeros((2, drift.TAPS)),
+        linear=order > 0,
+        bounded=reconstruction in drift.POSITIVE,
+    )
