@@ -6,21 +6,21 @@ Estimates look at the initial state alone and say so; nothing here starts MPI.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from decimal import ROUND_CEILING, Decimal
-from math import ceil, gamma, inf, isfinite, log1p, nan, pi, prod, sqrt
+from math import ceil, inf, isfinite, nan, pi, prod, sqrt
 from time import perf_counter
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from rvm_mpi import kinetic_theory
-from rvm_mpi.collisions.weights import SUPPORT, Rows
+from rvm_mpi import kinetic_theory, time_limits
+from rvm_mpi.collisions.weights import Rows
 from rvm_mpi.job.text import JobError
 from rvm_mpi.states import macroscopic_state
 from rvm_mpi.step import fit
-from rvm_mpi.units import power
+from rvm_mpi.time_limits import COLLAPSED, COURANT, CellRates, Limit, Rates
 
 if TYPE_CHECKING:
     from rvm_mpi.job.job import Job
@@ -43,24 +43,14 @@ OPERATIONS_PER_SECOND = 5.5e10
 """Nominal speed of that sum on one core: two thirds of the peak of one with AVX-512 (benchmarks/boltzmann.py)."""
 SECONDS_PER_NODE = 6e-9
 """Nominal time of that operator's transforms and of its packing, a velocity node."""
-DRIFT_SHARES = (1.0, 0.25, 0.0625)
-"""Shares of the drift's rate that a step may be made for; what a cell has beyond, it takes in substeps."""
-FITS = 1.05
-"""Courant numbers up to this times the one wanted fit: neighbours in nearly the same state are to be treated alike."""
-SUBSTEP = 0.3
-"""Time of a substep of the drift over that of a cell's stage."""
 STAGES = 2
 GHOSTS_OF_G = 2
 GHOSTS_OF_FLUID = 3
 LANES = 8
-EXPLICIT_COLLISIONS = 0.2
-"""Mean collisions in a step of an explicit operator; fast particles have a few times as many."""
 MAKING_WEIGHTS = 8
 """Memory that making the Boltzmann operator's weights takes for a moment, over that of the weights."""
 STANDARD_DEVIATIONS = 3.0
 """A box must hold the state this many thermal speeds around its mean velocity: one in 400 lies outside."""
-COLLAPSED = 1e-12
-"""A step shorter than this part of the end time leads nowhere."""
 COARSE = 0.1
 """Share of the gas in cells wider than its mean free path from which `rvm check` speaks of them."""
 ROWS_AT_ONCE = 2**18
@@ -392,8 +382,10 @@ class FirstStep:
     """The first time step as far as the initial state alone decides it."""
 
     dt: float
+    binding: Limit
+    """Which limit binds."""
     limit: str
-    """Which limit binds, in words."""
+    """The same in words."""
     transport_rate: float
     """Sum over the space directions of omega V / dx, largest over the cells."""
     drift_rate: float
@@ -407,66 +399,79 @@ class FirstStep:
 
 
 def first_step(job: Job) -> FirstStep:
-    """The first step: dt = cfl / max over cells of sum omega V / dx + share sum |a| / h, and the other limits.
+    """The first step that `time_limits` allows with the rates of the initial state."""
+    start = start_fields(job)
+    cells, growth, drag = _cell_rates(job, start)
+    largest = cells.largest()
+    share = time_limits.choose_share(largest, cells, start.omega.size, lambda *counts: counts)
+    rates = Rates(
+        courant=largest[share],
+        cooling=float(_cooling_rate(job, start).max()),
+        collisions=float(time_limits.collision_rate(job, start.density, start.temperature, start.omega).max()),
+        fluid=_fluid_rate(job, start) if job.fluid.enabled else 0.0,
+    )
+    dt, binding = time_limits.step_length(job.time, rates, job.time.end)
+    lasting = CellRates(cells.transport, cells.answering + drag, cells.answering)
+    later = float(lasting.at(time_limits.DRIFT_SHARES[share]).max())
+    return FirstStep(
+        dt=dt,
+        binding=binding,
+        limit=_in_words(binding, cells, time_limits.DRIFT_SHARES[share]),
+        transport_rate=float(cells.transport.max()),
+        drift_rate=float(cells.drift.max()),
+        growth_rate=float(growth.max()),
+        cooling_rate=rates.cooling,
+        later=time_limits.step_length(job.time, rates._replace(courant=later), job.time.end)[0],
+    )
 
-    a takes grad omega from differences of neighbouring cells. d_t omega cancels the cooling's drag; what
+
+def _in_words(binding: Limit, cells: CellRates, share: float) -> str:
+    """The limit, and what makes most of the rate where that is transport and drift."""
+    if binding != COURANT:
+        return binding.words
+    worst = np.unravel_index(np.argmax(cells.at(share)), cells.drift.shape)
+    drift = cells._replace(transport=np.zeros(())).at(share)[worst]
+    return f"{binding.words}, mostly {'transport in space' if cells.transport[worst] >= drift else 'drift in velocity'}"
+
+
+def _cell_rates(job: Job, start: StartFields) -> tuple[CellRates, np.ndarray, np.ndarray]:
+    """Rates of the initial state's cells; of the drift's, what d omega/dt and what the cooling's drag make.
+
+    The drift takes grad omega from differences of neighbouring cells. d_t omega cancels the cooling's drag; what
     streams in from the neighbours adds to it in the kinetic scaling.
     """
-    start = start_fields(job)
-    velocity, space, d = job.velocity, job.space, job.velocity.dimensions
-    drift = np.zeros(start.omega.shape)
-    transport = np.zeros(start.omega.shape)
+    velocity, space = job.velocity, job.space
+    transport, drift = np.zeros(start.omega.shape), np.zeros(start.omega.shape)
     for axis in range(space.dimensions):
         transport += start.omega * velocity.half_width[axis] / space.spacing[axis]
         drift += velocity.half_width[axis] * np.abs(_slope(start.omega, axis, job))
-    per_spacing = [width / h for width, h in zip(velocity.half_width, velocity.spacing, strict=True)]
-    drift *= sum(per_spacing)
-    growth = _growth(job, start) * sum(per_spacing)
+    across = sum(width / h for width, h in zip(velocity.half_width, velocity.spacing, strict=True))
+    drift *= across
+    growth = _growth(job, start) * across
     drift += growth
     drag, answering = np.zeros(start.omega.shape), np.zeros(start.omega.shape)
-    haff = job.collision.cooling * start.density * np.sqrt(start.temperature)
+    haff = _haff_rate(job, start)
     if job.collision.operator == "boltzmann" and job.scaling.kind != "none":
-        answering = haff * sum(per_spacing)  # by d_t omega, which no drag cancels: never in substeps (stepping.py)
-        drift += answering
+        drift += haff * across  # by d_t omega, which no drag cancels
+        answering = time_limits.answering_rate(2 * haff, drift, across)
     if job.scaling.kind == "none" and job.collision.operator != "boltzmann":
         for axis, h in enumerate(velocity.spacing):
             drag += haff * (velocity.half_width[axis] + np.abs(start.velocity[..., axis])) / h
         drift += drag
-    energy = d * start.temperature + (start.velocity**2).sum(-1)
-    cooling = float((2 * haff * d * start.temperature / energy).max())
-    fluid = _fluid_rate(job, start)
-    collisions = float(explicit_rate(job, start.density, start.temperature, start.omega).max())
+    return CellRates(transport, drift, answering), growth, drag
 
-    limits = {"time.end: nothing else limits the step": job.time.end}
-    if job.time.cfl is None:
-        assert job.time.dt is not None
-        limits = {"time.dt": job.time.dt}
-        later = job.time.dt
-    else:
-        rates = [float((transport + answering + share * (drift - answering)).max()) for share in DRIFT_SHARES]
-        substeps = [drift_substeps(transport, drift, rate) for rate in rates]
-        chosen = cheapest_share(rates, substeps, drift.size)
-        rate, share = rates[chosen], DRIFT_SHARES[chosen]
-        counted = answering + share * (drift - answering)
-        worst = np.unravel_index(np.argmax(transport + counted), drift.shape)
-        mostly = "transport in space" if transport[worst] >= counted[worst] else "drift in velocity"
-        limits[f"time.cfl, mostly {mostly}"] = job.time.cfl / rate if rate > 0 else inf
-        limits["cooling (a tenth of the energy a step)"] = 0.1 / cooling if cooling > 0 else inf
-        limits["collisions, taken explicitly"] = 1 / collisions if collisions > 0 else inf
-        if job.fluid.enabled:
-            limits["the fluid system's waves"] = 0.5 / fluid if fluid > 0 else inf
-        lasting = float((transport + answering + share * drag).max())
-        later = min(job.time.cfl / lasting if lasting > 0 else inf, *list(limits.values())[2:], job.time.end)
-    limit = min(limits, key=limits.__getitem__)
-    return FirstStep(
-        dt=limits[limit],
-        limit=limit,
-        transport_rate=float(transport.max()),
-        drift_rate=float(drift.max()),
-        growth_rate=float(growth.max()),
-        cooling_rate=cooling,
-        later=later,
-    )
+
+def _haff_rate(job: Job, start: StartFields) -> np.ndarray:
+    """|d ln sqrt(T)/dt| by dissipation, each cell by itself."""
+    return job.collision.cooling * start.density * np.sqrt(start.temperature)
+
+
+def _cooling_rate(job: Job, start: StartFields) -> np.ndarray:
+    """|d ln E/dt| by dissipation."""
+    d = job.velocity.dimensions
+    energy = d * start.temperature + (start.velocity**2).sum(-1)
+    rate: np.ndarray = 2 * _haff_rate(job, start) * d * start.temperature / energy
+    return rate
 
 
 def check_first_step(job: Job) -> None:
@@ -481,41 +486,16 @@ def check_first_step(job: Job) -> None:
         first = first_step(job)
         if job.collision.operator == "boltzmann":
             start = start_fields(job)
-            rates = collision_frequency(job, start.density, start.temperature) + fastest_rate(
-                job, start.density, start.omega
-            )
+            rates = time_limits.collision_frequency(job, start.density, start.temperature)
+            rates = rates + time_limits.fastest_rate(job, start.density, start.omega)
             if not np.isfinite(rates).all():
                 raise JobError(f"{job.name}: collision.knudsen: too small: the collision rate overflows")
     if first.dt >= COLLAPSED * job.time.end:
         return
-    cures = {
-        "time.dt": "take a longer one",
-        "cooling": "take a larger collision.knudsen, a collision.restitution nearer to 1, or an earlier time.end",
-        "collisions": "take a larger collision.knudsen, or collision.penalise = true, or an earlier time.end",
-    }
-    cure = next((text for name, text in cures.items() if first.limit.startswith(name)), "take an earlier time.end")
     raise JobError(
         f"{job.name}: the first time step would be {first.dt:.3g} long, limited by {first.limit}: too short ever to "
-        f"reach time.end = {job.time.end:g} (allowed at least {COLLAPSED:g} of it); {cure}"
+        f"reach time.end = {job.time.end:g} (allowed at least {COLLAPSED:g} of it); {first.binding.cure}"
     )
-
-
-def drift_substeps(transport: np.ndarray, drift: np.ndarray, rate: float) -> float:
-    """Sum over cells of the substeps that their drift is taken in, with a step of one Courant number over `rate`.
-
-    transport, drift: sums of max|a|/h over the directions of space and of velocity, in arrays of any shape.
-    """
-    if not rate > 0.0:
-        return 0.0
-    return float(np.where(transport + drift > FITS * rate, np.ceil(drift / rate), 0.0).sum())
-
-
-def cheapest_share(rates: Sequence[float], substeps: Sequence[float], cells: int) -> int:
-    """Which of `DRIFT_SHARES` to make the step for: a long one costs more, for what it takes in substeps.
-
-    rates, substeps: for each share, the largest rate over all cells and the sum of their substeps with it.
-    """
-    return int(np.argmin([rate * (cells + SUBSTEP * count) for rate, count in zip(rates, substeps, strict=True)]))
 
 
 def _growth(job: Job, start: StartFields) -> np.ndarray:
@@ -573,27 +553,10 @@ def steps(job: Job) -> float:
     """
     start = start_fields(job)
     rate = float((start.density * np.sqrt(start.temperature)).mean())
-    number = stretched_time(job, rate)(job.time.end) / first_step(job).later
+    number = time_limits.stretched_time(job, rate)(job.time.end) / first_step(job).later
     if job.time.max_steps is not None:
         number = min(number, job.time.max_steps)
     return max(1.0, number)
-
-
-def stretched_time(job: Job, rate: float) -> Callable[[float], float]:
-    """A function of time that grows about as fast as the number of steps: log(1 + a t)/a where steps grow as 1 + a t.
-
-    They do where the grid shrinks with a gas that cools by Haff's law, T = T(0)/(1 + a t)^2.
-
-    Parameters
-    ----------
-    job : Job
-    rate : float
-        Mean of density times the square root of the temperature at the start.
-    """
-    if job.scaling.kind == "none" or job.time.dt is not None or job.collision.elastic:
-        return lambda time: time
-    haff = job.collision.cooling * rate
-    return lambda time: log1p(haff * time) / haff
 
 
 def triad_seconds() -> float:
@@ -705,41 +668,6 @@ def physics(job: Job) -> Physics | None:
         shortest=float(path.ravel()[order[np.searchsorted(share, COARSE)]]),
         haff_time=kinetic_theory.cooling_time(collision, *state),
     )
-
-
-def collision_frequency(job: Job, density: np.ndarray, temperature: np.ndarray) -> np.ndarray:
-    """Collisions per unit time, Knudsen number included."""
-    collision, d = job.collision, job.velocity.dimensions
-    assert collision.knudsen is not None
-    if collision.relaxation is not None:
-        law = collision.relaxation
-        rate = law.coefficient * power(density, law.density_power) * power(temperature, law.temperature_power)
-    else:
-        assert collision.cross_section is not None and collision.exponent is not None
-        exponent = collision.exponent
-        mean_power = power(4 * temperature, exponent / 2) * gamma((d + exponent) / 2) / gamma(d / 2)
-        rate = density * collision.cross_section * kinetic_theory.sphere_area(d) * mean_power
-    return rate / collision.knudsen
-
-
-def explicit_rate(job: Job, density: np.ndarray, temperature: np.ndarray, omega: np.ndarray) -> np.ndarray:
-    """One over the longest step of an explicit Boltzmann operator, in each cell; zero where nothing limits it.
-
-    So many mean collisions as `EXPLICIT_COLLISIONS`, and one of the fastest pair that the operator knows, 2 R apart.
-    """
-    if job.collision.operator != "boltzmann" or job.collision.penalise:
-        return np.zeros_like(density)
-    mean = collision_frequency(job, density, temperature)
-    return np.maximum(mean / EXPLICIT_COLLISIONS, fastest_rate(job, density, omega))
-
-
-def fastest_rate(job: Job, density: np.ndarray, omega: np.ndarray) -> np.ndarray:
-    """Collisions per unit time of the fastest pair that the Boltzmann operator knows."""
-    collision = job.collision
-    assert collision.cross_section is not None and collision.exponent is not None and collision.knudsen is not None
-    widest = 2.0 * SUPPORT * job.velocity.half_width[0] * omega
-    sphere = collision.cross_section * kinetic_theory.sphere_area(job.velocity.dimensions)
-    return sphere / collision.knudsen * density * power(widest, collision.exponent)
 
 
 def duration_in_words(seconds: float) -> str:

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rvm_mpi import kinetic_theory
+from rvm_mpi import kinetic_theory, time_limits
 from rvm_mpi.advice import estimates
 from rvm_mpi.collisions.weights import Rows
 from rvm_mpi.commands import bench
@@ -322,7 +322,7 @@ def test_boltzmann_collision_frequency_by_sampling():
     job = make(cells=(), points=(32, 32, 32), collision=collision)
     v, w = np.random.default_rng(0).standard_normal((2, 200_000, 3)) * sqrt(1.7)
     expected = 2.0 * 0.3 * 4 * pi * np.linalg.norm(v - w, axis=1).mean() / 0.5
-    assert estimates.collision_frequency(job, np.array(2.0), np.array(1.7)) == pytest.approx(
+    assert time_limits.collision_frequency(job, np.array(2.0), np.array(1.7)) == pytest.approx(
         expected, rel=0.01
     )
 
