@@ -24,7 +24,7 @@ import numpy as np
 
 from rvm_mpi import time_limits
 from rvm_mpi.advice.accuracy import GridWatch
-from rvm_mpi.advice.estimates import check_sides
+from rvm_mpi.advice.velocity_grid import check_sides
 from rvm_mpi.compiling import declare as kernels
 from rvm_mpi.exact_sum import exact_sums
 from rvm_mpi.fluid import FluidSystem

@@ -186,9 +186,7 @@ def answering_rate(cooling: np.ndarray, drift: np.ndarray, across: float) -> np.
     return answering
 
 
-def choose_share(
-    rates: Sequence[float], cells: CellRates, number: int, total: Callable[..., Sequence[float]]
-) -> int:
+def choose_share(rates: Sequence[float], cells: CellRates, number: int, total: Callable[..., Sequence[float]]) -> int:
     """Which of `DRIFT_SHARES` to make the step for, the one that takes least time.
 
     A long step costs more than a short one, for the cells whose drift it takes in substeps.
