@@ -27,8 +27,7 @@ from rvm_mpi.advice.accuracy import GridWatch
 from rvm_mpi.advice.velocity_grid import check_sides
 from rvm_mpi.compiling import declare as kernels
 from rvm_mpi.exact_sum import exact_sums
-from rvm_mpi.fluid import FluidSystem
-from rvm_mpi.fluid.euler import PositivityLost
+from rvm_mpi.fluid import FluidSystem, PositivityLost
 from rvm_mpi.grid.domain import Domain
 from rvm_mpi.job.job import Job, JobError
 from rvm_mpi.output import checkpoint, rundir
@@ -44,9 +43,6 @@ from rvm_mpi.run.watch import Watch
 from rvm_mpi.states import macroscopic_state
 from rvm_mpi.step.stepper import KineticStepper, NumericalFailure, StepReport
 from rvm_mpi.time_limits import COOLING, COURANT, Limit, Rates
-
-#: automatic rate of synchronisation over the fastest at which sound crosses a cell
-SYNCHRONISED = 1 / 3
 
 InitialState = Callable[[np.ndarray, np.ndarray], tuple[Any, Any, Any]]
 
@@ -103,8 +99,6 @@ class Simulation:
         temperature = np.trace(tensor, axis1=-2, axis2=-1) / d
         with_fluid = job.fluid.enabled or job.scaling.kind == "macroscopic"
         self.fluid = FluidSystem(job, self.domain) if with_fluid else None
-        if self.fluid is not None and self.domain.rank % 2 == 1:
-            self.fluid.prepare()  # where no kernels are on disk, even ranks compile the stage's meanwhile
         self.kinetic = KineticStepper(job, self.domain, density, velocity, tensor)
         if self.fluid is not None:
             self.fluid.set_state(density, velocity, temperature)
@@ -225,20 +219,8 @@ class Simulation:
             if scaling.synchronise != 0.0:
                 d = self.job.velocity.dimensions
                 state, temperature = self.kinetic.macroscopic()
-                rate = self._synchronise_rate(temperature) if scaling.synchronise == "auto" else scaling.synchronise
-                self.fluid.relax_towards(state[..., [*range(d + 1), 4]], rate, dt)
+                self.fluid.synchronise(state[..., [*range(d + 1), 4]], temperature, dt)
             self.kinetic.set_scaling(self.fluid.omega(), dt)
-
-    def _synchronise_rate(self, temperature: np.ndarray) -> float:
-        """The automatic rate: a third of the fastest at which sound of f's temperature (ny, nx) crosses a cell.
-
-        What Euler lacks parts the two by a gradient's width over the speed of sound, and a gradient is some cells wide:
-        a much slower rate lets them part, a much faster one ties omega to the moments that it scales. One rate for
-        all cells: what reaches the cold ones comes from the hot ones.
-        """
-        d, space = self.job.velocity.dimensions, self.domain.dimensions
-        hottest = self.domain.maximum(float(temperature.max()))[0]
-        return SYNCHRONISED * math.sqrt((d + 2) / d * hottest) / min(self.domain.spacing[:space])
 
     # -- checkpoints ------------------------------------------------------------------------------------------
 

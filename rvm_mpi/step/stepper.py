@@ -213,8 +213,6 @@ class KineticStepper:
         self._heating, self._penalty = np.zeros((ny, nx)), np.zeros((ny, nx))
         self._slowing = np.ones((ny, nx))
         self.last = Sweep(False, self.g, self._other, self.now, self._middle)
-        if domain.rank % 2 == 0:
-            self._run_sweep.prepare(*self._sweep_arguments(0.0))  # odd ranks compile the other kernels meanwhile
         self._set(density, velocity, tensor)
 
     def _cells(self) -> Cells:
