@@ -1,4 +1,4 @@
-"""What viscosity and heat conduction are worth on a velocity grid: the tables of `rvm_mpi/advice/accuracy_tables.py`.
+"""What viscosity and heat conduction are worth on a velocity grid: the tables of `rvm_mpi/advice/accuracy_tables.json`.
 
     python benchmarks/grid_accuracy.py               (prints them; half an hour, most of it for d = 3)
     python benchmarks/grid_accuracy.py --write       (and writes them into the package)
@@ -23,11 +23,12 @@ The viscosity of a shear wave is beside it, over that of the finest grid.
 """
 
 import argparse
+import json
+import re
 import sys
 import time
 from math import gamma
 from pathlib import Path
-from textwrap import wrap
 
 import numpy as np
 
@@ -38,7 +39,7 @@ from rvm_mpi.collisions.weights import SUPPORT, kernel_scale
 from rvm_mpi.kinetic_theory import dissipation_coefficient, sphere_area
 from tests.verification.navier_stokes import conductivity, viscosity
 
-MODULE = Path(__file__).resolve().parent.parent / "rvm_mpi" / "accuracy_tables.py"
+TABLES = Path(__file__).resolve().parent.parent / "rvm_mpi" / "advice" / "accuracy_tables.json"
 HALF_WIDTHS = {
     1: (4.0, 4.5, 5.0, 5.5, 6.0, 6.5, 7.0, 7.5, 8.0, 8.5, 9.0, 9.5, 10.0, 10.5, 11.0, 12.0),
     2: (4.0, 4.5, 5.0, 5.25, 5.5, 5.75, 6.0, 6.25, 6.5, 6.75, 7.0, 7.5, 8.0, 8.5, 9.0, 10.0),
@@ -179,57 +180,25 @@ def wave(quantity, points, scaling, drift):
 
 
 def text_of(operator, drift):
-    """The module that holds the tables."""
-    lines = [
-        '"""What viscosity and heat conduction are worth on a velocity grid, over the exact ones, at unit temperature.',
-        "",
-        "Measured and written by `python benchmarks/grid_accuracy.py --write`, where it says what the figures are.",
-        '"""',
-        "",
-        "HALF_WIDTHS: dict[int, tuple[float, ...]] = {",
-        *(f"    {d}: {HALF_WIDTHS[d]}," for d in sorted(operator)),
-        "}",
-        '"""Half widths of the Boltzmann tables by dimensions."""',
-        "",
-        "# fmt: off",
-        "BOLTZMANN: dict[int, dict[int, tuple[tuple[float, ...], ...]]] = {",
-    ]
-    for d in sorted(operator):
-        lines.append(f"    {d}: {{")
-        for n, rows in operator[d].items():
-            lines.append(f"        {n}: (")
-            for row in rows:
-                lines += ["            (", *in_lines([f"{value:.4g}" for value in row], 16), "            ),"]
-            lines.append("        ),")
-        lines.append("    },")
-    lines += [
-        "}",
-        '"""By dimensions and points a direction: viscosity (d = 1: loss of energy), conductivity, residue (d > 1)."""',
-        "",
-        f"SPACINGS = ({', '.join(f'{14 / n:.6g}' for n in SPACINGS)})",
-        '"""Spacings of the table of the drift."""',
-        "DRIFT: dict[str, tuple[tuple[float, ...], tuple[float, ...]]] = {",
-    ]
-    for name, rows in drift.items():
-        lines.append(f'    "{name}": (')
-        for row in rows:
-            lines += ["        (", *in_lines([f"{value:.4f}" for value in row], 12), "        ),"]
-        lines.append("    ),")
-    lines += [
-        "}",
-        '"""By reconstruction: conductivity with that spacing along the gradient, and across it."""',
-    ]
-    return "\n".join(lines) + "\n"
+    """The data file that holds the tables: JSON, a row of a table on a line."""
+    tables = {
+        "half_widths": {d: HALF_WIDTHS[d] for d in sorted(operator)},
+        "boltzmann": {d: {n: rounded(rows, ".4g") for n, rows in operator[d].items()} for d in sorted(operator)},
+        "spacings": [float(f"{14 / n:.6g}") for n in SPACINGS],
+        "drift": {name: rounded(rows, ".4f") for name, rows in drift.items()},
+    }
+    text = json.dumps(tables, indent=2)
+    return re.sub(r"\[\s*([^][]*?)\s*\]", lambda row: f"[{' '.join(row[1].split())}]", text) + "\n"
 
 
-def in_lines(numbers, indent):
-    """Numbers of a tuple, a few lines of them."""
-    return wrap(", ".join(numbers) + ",", 110, initial_indent=" " * indent, subsequent_indent=" " * indent)
+def rounded(rows, digits):
+    """Rows of numbers to so many digits."""
+    return [[float(f"{value:{digits}}") for value in row] for row in rows]
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--write", action="store_true", help=f"write the tables into {MODULE.name}")
+    parser.add_argument("--write", action="store_true", help=f"write the tables into {TABLES.name}")
     parser.add_argument("--exponent", type=int, choices=(0, 1), default=1, help="of the kernel [1]; 0: a few grids")
     options = parser.parse_args()
     if options.exponent == 0:
@@ -238,7 +207,7 @@ def main() -> None:
     drift = drift_table()
     operator = operator_tables((1, 2, 3), 1)
     if options.write:
-        MODULE.write_text(text_of(operator, drift))
+        TABLES.write_text(text_of(operator, drift))
 
 
 if __name__ == "__main__":

@@ -48,7 +48,7 @@ def of_rank(job: dict) -> None:
     import h5py  # noqa: F401
     from petsc4py import PETSc  # noqa: F401
 
-    from rvm_mpi.advice import estimates
+    from rvm_mpi.advice import memory
     from rvm_mpi.job.job import Job
     from rvm_mpi.run.control import Control
     from rvm_mpi.run.lock import Claim
@@ -76,7 +76,7 @@ def of_rank(job: dict) -> None:
     mine = {**marks, "VmHWM": end["VmHWM"], "RssFile": end["RssFile"], "RssShmem": end["RssShmem"]}
     worst = max(comm.allgather(mine), key=lambda one: one["VmHWM"])
     if comm.rank == 0:
-        said = estimates.memory(job, comm.size)
+        said = memory.memory(job, comm.size)
         print(json.dumps(worst | {"said": said.total / 1e6, "weights": said.weights / 1e6}))
 
 

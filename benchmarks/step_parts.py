@@ -18,7 +18,7 @@ from pathlib import Path
 from mpi4py import MPI
 
 from rvm_mpi import simulation
-from rvm_mpi.advice import estimates
+from rvm_mpi.advice import first_step
 from rvm_mpi.commands.bench import _job
 from rvm_mpi.fluid import FluidSystem
 from rvm_mpi.grid.domain import Domain
@@ -115,7 +115,7 @@ def main() -> None:
     clock.watch_kernels()
     clock.watch_steps()
     job = Job.from_file(options.job) if options.job else _job(tuple(options.cells), tuple(options.velocity))
-    end = options.steps * estimates.first_step(job).dt
+    end = options.steps * first_step.first_step(job).dt
     settings = job.model_dump(exclude_none=True)
     settings["time"]["max_steps"] = options.skip + options.steps
     settings["output"]["checkpoint_every"] = "10 min"

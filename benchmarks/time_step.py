@@ -15,8 +15,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from rvm_mpi import Job, Simulation
-from rvm_mpi.step import stepper as stepping
+from rvm_mpi import Job, Simulation, time_limits
 from tests.verification.kinetic_cases import table
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -36,15 +35,15 @@ def solve(name: str, cells: int, cfl: float, substeps: bool):
         ("output.times", [end]), ("output.marginals", False),
     ]  # fmt: skip
     job = Job.from_file(ROOT / "jobs" / f"{name}.toml", [f"{key}={str(value).lower()}" for key, value in settings])
-    shares = stepping.DRIFT_SHARES
+    shares = time_limits.DRIFT_SHARES
     if not substeps:
-        stepping.DRIFT_SHARES = (1.0,)
+        time_limits.DRIFT_SHARES = (1.0,)
     simulation = Simulation(job)
     begin = time.process_time()
     for _ in simulation:
         pass
     seconds = time.process_time() - begin
-    stepping.DRIFT_SHARES = shares
+    time_limits.DRIFT_SHARES = shares
     moments = simulation.moments()
     return (moments["density"], moments["temperature"]), simulation.number, seconds
 

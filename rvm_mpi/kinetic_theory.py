@@ -20,7 +20,7 @@ order for a kernel, elastic.
   1/(sqrt(2) pi n a^2), and hard discs, 1/(2 sqrt(2) n a), of that viscosity. It does not depend on the Prandtl number
   where the viscosity does not. One velocity dimension has no viscosity: mean speed over the operator's rate there.
 - collision time: mean free path over mean speed <|v|>; for hard spheres the mean time between collisions.
-- Knudsen number: mean free path of the mean state over the length of the domain (`estimates.physics`).
+- Knudsen number: mean free path of the mean state over the length of the domain (`advice/physics.py`).
 """
 
 from __future__ import annotations

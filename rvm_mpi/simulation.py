@@ -22,12 +22,12 @@ from typing import Any
 
 import numpy as np
 
+from rvm_mpi import time_limits
 from rvm_mpi.advice.accuracy import GridWatch
-from rvm_mpi.advice.estimates import COLLAPSED, check_sides, stretched_time
+from rvm_mpi.advice.velocity_grid import check_sides
 from rvm_mpi.compiling import declare as kernels
 from rvm_mpi.exact_sum import exact_sums
-from rvm_mpi.fluid import FluidSystem
-from rvm_mpi.fluid.euler import PositivityLost
+from rvm_mpi.fluid import FluidSystem, PositivityLost
 from rvm_mpi.grid.domain import Domain
 from rvm_mpi.job.job import Job, JobError
 from rvm_mpi.output import checkpoint, rundir
@@ -42,16 +42,7 @@ from rvm_mpi.run.terminal import tell
 from rvm_mpi.run.watch import Watch
 from rvm_mpi.states import macroscopic_state
 from rvm_mpi.step.stepper import KineticStepper, NumericalFailure, StepReport
-
-#: a step may pass the Courant number by this factor before it is taken again, shorter
-SLACK = 1.02
-#: largest relative change of a cell's energy by dissipation in one step
-COOLING_CHANGE = 0.1
-#: the fluid's own Courant number, up to which it keeps density and temperature positive
-FLUID_CFL = 0.5
-
-#: automatic rate of synchronisation over the fastest at which sound crosses a cell
-SYNCHRONISED = 1 / 3
+from rvm_mpi.time_limits import COOLING, COURANT, Limit, Rates
 
 InitialState = Callable[[np.ndarray, np.ndarray], tuple[Any, Any, Any]]
 
@@ -108,8 +99,6 @@ class Simulation:
         temperature = np.trace(tensor, axis1=-2, axis2=-1) / d
         with_fluid = job.fluid.enabled or job.scaling.kind == "macroscopic"
         self.fluid = FluidSystem(job, self.domain) if with_fluid else None
-        if self.fluid is not None and self.domain.rank % 2 == 1:
-            self.fluid.prepare()  # where no kernels are on disk, even ranks compile the stage's meanwhile
         self.kinetic = KineticStepper(job, self.domain, density, velocity, tensor)
         if self.fluid is not None:
             self.fluid.set_state(density, velocity, temperature)
@@ -163,23 +152,22 @@ class Simulation:
         """One time step."""
         dt, limit = self._step_length()
         dt, reached = self._fit_to_stops(dt)
-        if dt < COLLAPSED * self.job.time.end and reached is None:
+        if dt < time_limits.COLLAPSED * self.job.time.end and reached is None:
             raise self._collapse(dt, limit)
-        cfl = self.job.time.cfl  # None where the job fixes dt
         saved = None if self.fluid is None else self.fluid.state.copy()
         while True:
             try:
                 self._advance_fluid(dt)
                 self.kinetic.first_stage(dt)
-                courant = dt * self.kinetic.rate
-                if cfl is None or courant <= SLACK * cfl:
+                shorter = time_limits.shorter_step(dt, self.kinetic.rate, self.job.time.cfl)
+                if shorter is None:
                     report = self.kinetic.second_stage(dt)
                     break
             except (NumericalFailure, PositivityLost) as error:
                 when = f"step {self.number + 1} from t = {self.time:.6g} with dt = {dt:.3g}"
                 raise NumericalFailure(f"{error}; {when}", error.cell, getattr(error, "node", None), dt) from None
             # the scaling turned faster than the step before said: the first stage left g^n as it was
-            dt, reached = 0.95 * cfl / self.kinetic.rate, None
+            dt, reached = shorter, None
             if self.fluid is not None and saved is not None:
                 self.fluid.state[...] = saved
         self.time = self.time + dt if reached is None else reached
@@ -187,7 +175,7 @@ class Simulation:
         self.last_dt = dt
         self._set_rates()
         self.diagnostics.update(report)
-        return Step(self.number, self.time, dt, limit)
+        return Step(self.number, self.time, dt, limit.name)
 
     def _set_rates(self) -> None:
         """The rates of the last stage, which set the next step."""
@@ -195,41 +183,31 @@ class Simulation:
             self.kinetic.choose_share()
         self._rate, self._cooling_rate = self.kinetic.rate, self.kinetic.cooling_rate
 
-    def _collapse(self, dt: float, limit: str) -> NumericalFailure:
+    def _collapse(self, dt: float, limit: Limit) -> NumericalFailure:
         cell = None
-        if limit.startswith(("transport", "dissipation")):
-            cell = self.kinetic.fastest_cell(cooling=limit == "dissipation")
+        if limit in (COURANT, COOLING):
+            cell = self.kinetic.fastest_cell(cooling=limit == COOLING)
         where = "" if cell is None else f" in {self.domain.place(cell)}"
-        what = f"the time step has collapsed to {dt:.3g}, limited by {limit}{where}"
+        what = f"the time step has collapsed to {dt:.3g}, limited by {limit.name}{where}"
         return NumericalFailure(f"{what}; step {self.number + 1} from t = {self.time:.6g}", cell, dt=dt)
 
-    def _step_length(self) -> tuple[float, str]:
-        """The longest step allowed, and the name of the limit that sets it."""
+    def _step_length(self) -> tuple[float, Limit]:
+        """The longest step allowed, and the limit that sets it."""
         time = self.job.time
-        if time.dt is not None or time.cfl is None:
-            return float(time.dt or time.end), "time.dt"
-        limits = {
-            "transport and drift (cfl)": time.cfl / self._rate if self._rate > 0 else math.inf,
-            "dissipation": COOLING_CHANGE / self._cooling_rate if self._cooling_rate > 0 else math.inf,
-            "end": time.end - self.time,
-        }
-        collisions = self.kinetic.collision_rate
-        if collisions > 0:
-            limits["collisions"] = 1.0 / collisions
-        if self.fluid is not None:
-            rate = self.domain.maximum(self.fluid.max_rate())[0]
-            limits["fluid"] = FLUID_CFL / rate if rate > 0 and self.domain.dimensions else math.inf
-        name = min(limits, key=lambda key: limits[key])
-        return limits[name], name
+        rates = Rates() if time.cfl is None else self._rates()
+        return time_limits.step_length(time, rates, time.end - self.time)
+
+    def _rates(self) -> Rates:
+        """The rates that limit the next step; collective."""
+        fluid = 0.0 if self.fluid is None else self.domain.maximum(self.fluid.max_rate())[0]
+        return Rates(self._rate, self._cooling_rate, self.kinetic.collision_rate, fluid)
 
     def _fit_to_stops(self, dt: float) -> tuple[float, float | None]:
-        """Shorten a step so that output times are hit exactly; two equal steps rather than a last tiny one."""
+        """Shorten a step so that output times are hit exactly: the step, and the time to stop at if it reaches one."""
         coming = bisect.bisect_right(self.stops, self.time)
         stop = self.stops[coming] if coming < len(self.stops) else self.job.time.end
-        left = stop - self.time
-        if dt >= left * (1.0 - 1e-9):
-            return left, stop
-        return (0.5 * left if dt > 0.5 * left and self.job.time.dt is None else dt), None
+        dt, reached = time_limits.fit_to_stop(dt, stop - self.time, self.job.time.dt is not None)
+        return dt, stop if reached else None
 
     def _advance_fluid(self, dt: float) -> None:
         """The fluid goes first: its omega at the end of the step gives the kinetic stages theirs."""
@@ -241,20 +219,8 @@ class Simulation:
             if scaling.synchronise != 0.0:
                 d = self.job.velocity.dimensions
                 state, temperature = self.kinetic.macroscopic()
-                rate = self._synchronise_rate(temperature) if scaling.synchronise == "auto" else scaling.synchronise
-                self.fluid.relax_towards(state[..., [*range(d + 1), 4]], rate, dt)
+                self.fluid.synchronise(state[..., [*range(d + 1), 4]], temperature, dt)
             self.kinetic.set_scaling(self.fluid.omega(), dt)
-
-    def _synchronise_rate(self, temperature: np.ndarray) -> float:
-        """The automatic rate: a third of the fastest at which sound of f's temperature (ny, nx) crosses a cell.
-
-        What Euler lacks parts the two by a gradient's width over the speed of sound, and a gradient is some cells wide:
-        a much slower rate lets them part, a much faster one ties omega to the moments that it scales. One rate for
-        all cells: what reaches the cold ones comes from the hot ones.
-        """
-        d, space = self.job.velocity.dimensions, self.domain.dimensions
-        hottest = self.domain.maximum(float(temperature.max()))[0]
-        return SYNCHRONISED * math.sqrt((d + 2) / d * hottest) / min(self.domain.spacing[:space])
 
     # -- checkpoints ------------------------------------------------------------------------------------------
 
@@ -710,7 +676,7 @@ class Run:
             stream = None if self.quiet else sys.stderr
             progress = Progress(
                 sim.job, stream, self.log, self.comm.size, start_time=sim.time, start_step=sim.number,
-                stretched=stretched_time(sim.job, sim.diagnostics.first_rate),
+                stretched=time_limits.stretched_time(sim.job, sim.diagnostics.first_rate),
             )  # fmt: skip
         stopped = ""
         try:

@@ -99,6 +99,10 @@ class CoolingGas:
 
     def heat_growth(self, k: np.ndarray) -> np.ndarray:
         """Rate of the fastest mode of density, temperature and longitudinal velocity, in relative size, for k (n,)."""
+        return np.asarray(np.linalg.eigvals(self.heat_matrix(k)).real.max(axis=-1))
+
+    def heat_matrix(self, k: np.ndarray) -> np.ndarray:
+        """Rates (n, 3, 3) of density, longitudinal velocity and temperature in relative size, for k (n,)."""
         d, c, zeta = self.dimensions, sqrt(self.temperature), self.cooling
         ik, square = 1j * k * c, k**2
         conducts = 2 / (d * self.density) * self.conductivity * square
@@ -108,7 +112,7 @@ class CoolingGas:
         matrix[:, 1, 1] = zeta / 2 - 2 * (d - 1) / d * self.viscosity / self.density * square
         matrix[:, 2, 0], matrix[:, 2, 1] = -zeta - diffuses, -2 / d * ik
         matrix[:, 2, 2] = -self.power * zeta - conducts
-        return np.asarray(np.linalg.eigvals(matrix).real.max(axis=-1))
+        return matrix
 
 
 @dataclass(frozen=True)

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from rvm_mpi.advice import estimates, stability
+from rvm_mpi.advice import initial, physics, stability
 from rvm_mpi.step import fit
 
 if TYPE_CHECKING:
-    from rvm_mpi.advice.estimates import StartFields
+    from rvm_mpi.advice.initial import StartFields
     from rvm_mpi.job.job import Job
 
 #: numbers above it are not worth a word
@@ -23,7 +23,7 @@ FOLDS = 3.0
 
 def verdicts(job: Job) -> Iterator[str]:
     """One line each."""
-    start = estimates.start_fields(job)
+    start = initial.start_fields(job)
     yield from _cells(job)
     yield from _speeds(job, start)
     yield from _clustering(job, start)
@@ -31,8 +31,8 @@ def verdicts(job: Job) -> Iterator[str]:
 
 def _cells(job: Job) -> Iterator[str]:
     """Cells wider than a mean free path."""
-    gas = estimates.physics(job)
-    if gas is None or job.space.dimensions == 0 or gas.coarse < estimates.COARSE:
+    gas = physics.physics(job)
+    if gas is None or job.space.dimensions == 0 or gas.coarse < physics.COARSE:
         return
     assert job.collision.knudsen is not None
     wide = max(job.space.spacing) / max(gas.shortest, 1e-300)
@@ -95,7 +95,7 @@ def mach_carried(job: Job) -> float:
 
 def clustering_words(job: Job) -> str:
     """How a cooling gas in a periodic box stands to its critical wavelengths; empty for other jobs."""
-    found = stability.clustering(job, *estimates.mean_state(estimates.start_fields(job)))
+    found = stability.clustering(job, *initial.mean_state(initial.start_fields(job)))
     if found is None:
         return ""
     shear = "" if found.shear == 0.0 else f"{found.shear:.3g} critical wavelengths of shear and "
@@ -105,7 +105,7 @@ def clustering_words(job: Job) -> str:
 
 def _clustering(job: Job, start: StartFields) -> Iterator[str]:
     """Noise in a periodic box of cooling gas that cannot become clusters, or has no time to."""
-    found = stability.clustering(job, *estimates.mean_state(start))
+    found = stability.clustering(job, *initial.mean_state(start))
     if found is None or job.initial.state != "random-density":
         return
     knudsen, most = job.collision.knudsen, max(found.shear, found.heat)

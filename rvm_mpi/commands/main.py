@@ -160,7 +160,8 @@ def _output(options: argparse.Namespace) -> Path:
 
 
 def _run(options: argparse.Namespace) -> int:
-    from rvm_mpi.advice.estimates import check_start, check_weights
+    from rvm_mpi.advice.memory import check_weights
+    from rvm_mpi.advice.start import check_start
     from rvm_mpi.grid.domain import partition
     from rvm_mpi.job.checks import check_source
     from rvm_mpi.job.job import Job
@@ -200,7 +201,8 @@ def _check(options: argparse.Namespace) -> int:
         raise JobError("check: give a job file, or --states (see rvm check --help)")
     lines: list[str] = []
     if options.job is not None:
-        from rvm_mpi.advice.estimates import check_start, check_weights
+        from rvm_mpi.advice.memory import check_weights
+        from rvm_mpi.advice.start import check_start
         from rvm_mpi.job.job import Job
 
         job = Job.from_file(options.job, options.set)
@@ -254,7 +256,7 @@ def _row(name: str, text: str) -> str:
 
 
 def _grid_lines(job: Job, ranks: int) -> Iterator[str]:
-    from rvm_mpi.advice import estimates
+    from rvm_mpi.advice import memory
     from rvm_mpi.grid.domain import largest_ranks, partition
 
     split = partition(job.space.cells, ranks)
@@ -267,8 +269,8 @@ def _grid_lines(job: Job, ranks: int) -> Iterator[str]:
     yield _row(
         "decomposition", f"{split[0]} x {split[1]} ranks of at most {share} cells (at most {most} ranks)"
     )
-    size = estimates.memory(job, ranks)
-    words = estimates.bytes_in_words
+    size = memory.memory(job, ranks)
+    words = memory.bytes_in_words
     yield _row(
         "memory per rank",
         f"{words(size.total)}: distribution {words(size.g)}, fluxes {words(size.fluxes)}, "
@@ -278,14 +280,14 @@ def _grid_lines(job: Job, ranks: int) -> Iterator[str]:
     if size.weights:
         yield _row(
             "  and once a node",
-            f"{words(size.weights)} of Boltzmann weights, {estimates.MAKING_WEIGHTS} times that while they are made",
+            f"{words(size.weights)} of Boltzmann weights, {memory.MAKING_WEIGHTS} times that while they are made",
         )
 
 
 def _step_lines(job: Job, ranks: int) -> Iterator[str]:
-    from rvm_mpi.advice import estimates
+    from rvm_mpi.advice import duration, first_step
 
-    first = estimates.first_step(job)
+    first = first_step.first_step(job)
     yield _row("first time step", f"{first.dt:.4g}, limited by {first.limit}")
     rates = f"transport {first.transport_rate:.4g}, drift {first.drift_rate:.4g}"
     if first.growth_rate > 0:
@@ -293,19 +295,19 @@ def _step_lines(job: Job, ranks: int) -> Iterator[str]:
     yield _row("  rates", f"{rates}, cooling {first.cooling_rate:.4g}")
     if first.later > first.dt:
         yield _row("  later", f"up to {first.later:.4g}, when jumps of the initial state have smoothed out")
-    number = estimates.steps(job)
+    number = duration.steps(job)
     yield _row("steps", f"at least {number:.0f} to t = {job.time.end:g}, as far as the initial state tells")
-    triad = estimates.triad_seconds()
-    duration = estimates.duration_in_words(estimates.run_seconds(job, ranks, triad))
+    triad = duration.triad_seconds()
+    least = duration.duration_in_words(duration.run_seconds(job, ranks, triad))
     on = "a core" if ranks == 1 else f"{ranks} cores"
-    yield _row("run time", f"at least {duration} on {on} like this machine's (triad {1e9 * triad:.2f} ns an element)")
+    yield _row("run time", f"at least {least} on {on} like this machine's (triad {1e9 * triad:.2f} ns an element)")
 
 
 def _physics_lines(job: Job) -> Iterator[str]:
-    from rvm_mpi.advice import estimates
+    from rvm_mpi.advice import physics
     from rvm_mpi.advice.verdicts import clustering_words
 
-    gas = estimates.physics(job)
+    gas = physics.physics(job)
     if gas is None:
         yield _row("collisions", "none: free transport")
         return
@@ -335,20 +337,20 @@ def _range(values: Any) -> str:
 
 
 def _velocity_lines(job: Job) -> Iterator[str]:
-    from rvm_mpi.advice import estimates
+    from rvm_mpi.advice import velocity_grid
     from rvm_mpi.advice.verdicts import mach_carried
 
     of = "T" if job.scaling.kind == "none" else "T_g"
     grid = list(zip("xyz", job.velocity.points, job.velocity.half_width, strict=False))
-    least = ", ".join(f"{axis} {estimates.least_temperature(n, width):.4g}" for axis, n, width in grid)
-    sampled = ", ".join(f"{axis} {estimates.sampling_limit(n, width):.4g}" for axis, n, width in grid)
-    yield _row(f"smallest {of}", f"{estimates.smallest_temperature(job):.4g}, along each direction {least}")
+    least = ", ".join(f"{axis} {velocity_grid.least_temperature(n, width):.4g}" for axis, n, width in grid)
+    sampled = ", ".join(f"{axis} {velocity_grid.sampling_limit(n, width):.4g}" for axis, n, width in grid)
+    yield _row(f"smallest {of}", f"{velocity_grid.smallest_temperature(job):.4g}, along each direction {least}")
     yield _row(
         "  sampled within 1 %", f"down to {sampled}; below, Gaussians live on their discrete correction"
     )
-    for line in estimates.unresolved_sides(job):
+    for line in velocity_grid.unresolved_sides(job):
         yield _row("  warning", line)
-    mach = estimates.largest_mach(job)
+    mach = velocity_grid.largest_mach(job)
     if job.scaling.kind != "none" and mach < inf:
         yield _row(
             "  flows up to",
@@ -358,9 +360,10 @@ def _velocity_lines(job: Job) -> Iterator[str]:
 
 
 def _accuracy_lines(job: Job) -> Iterator[str]:
-    from rvm_mpi.advice import accuracy
+    from rvm_mpi.advice import accuracy, conduction
 
-    yield from (_row(name, text) for name, text in accuracy.describe(job))
+    for describe in (accuracy.describe, conduction.describe):
+        yield from (_row(name, text) for name, text in describe(job))
 
 
 def _watch_lines(job: Job) -> Iterator[str]:

@@ -1,5 +1,6 @@
 """The macroscopic system: Euler equations of a (granular) gas, d + 2 components, by WENO5."""
 
-from rvm_mpi.fluid.euler import GHOSTS, FluidSystem
+from rvm_mpi.fluid.system import FluidSystem, PositivityLost
+from rvm_mpi.fluid.walls import GHOSTS
 
-__all__ = ["GHOSTS", "FluidSystem"]
+__all__ = ["GHOSTS", "FluidSystem", "PositivityLost"]

@@ -6,7 +6,8 @@ Every function works on a view of the state whose first axis is the distance fro
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -19,8 +20,6 @@ if TYPE_CHECKING:
 GHOSTS = 3
 #: density of the ghosts of a vacuum relative to the cell behind the side
 VACUUM = 1e-10
-#: kinds of side that no mass crosses
-SOLID = ("specular", "maxwell")
 
 
 @kernel(fused=False)
@@ -94,52 +93,111 @@ class Side:
         The job's boundary there.
     dimensions : int
         Velocity dimensions d.
+
+    Attributes
+    ----------
+    axis : int
+        0 for a side in x, 1 in y.
+    accommodation, temperature : float
+        Of a wall: the thermalised fraction and its temperature.
+    velocity : (d,) array
+        Of a wall.
+    given : (d + 2,) array or None
+        The state beyond the side, where the job gives one.
+    start : (cells, d + 2) array or None
+        The initial state behind it.
+
+    Raises
+    ------
+    ValueError
+        For a kind of boundary that is not in `KINDS`.
     """
 
     def __init__(self, name: str, boundary: Boundary, dimensions: int) -> None:
+        if boundary.kind not in KINDS:
+            raise ValueError(f"the fluid knows no boundary of kind {boundary.kind!r}")
         self.axis, self.upper = "xy".index(name[0]), name.endswith("upper")
-        self.kind = boundary.kind
-        self.solid = self.kind in SOLID
-        self.accommodation = self.temperature = 0.0
+        self._kind = KINDS[boundary.kind]
+        self.accommodation = 1.0 if boundary.accommodation is None else boundary.accommodation
+        self.temperature = 0.0 if boundary.temperature is None else boundary.temperature
         self.velocity = np.zeros(dimensions)
-        #: far-field state, (d + 2,) or one per cell along the side
-        self.outside: np.ndarray | None = None
         if boundary.velocity is not None:
             self.velocity[:] = boundary.velocity
-        if boundary.temperature is not None:
-            self.temperature = boundary.temperature
-        if self.kind == "maxwell":
-            self.accommodation = 1.0 if boundary.accommodation is None else boundary.accommodation
-        elif self.kind == "far-field" and boundary.density is not None:
+        self.given: np.ndarray | None = None
+        self.start: np.ndarray | None = None
+        if boundary.density is not None:
             density = boundary.density
             energy = 0.5 * density * (dimensions * self.temperature + self.velocity @ self.velocity)
-            self.outside = np.array([density, *(density * self.velocity), energy])
-        elif self.kind not in ("specular", "far-field", "outflow", "vacuum"):
-            raise ValueError(f"the fluid knows no boundary of kind {self.kind!r}")
+            self.given = np.array([density, *(density * self.velocity), energy])
+
+    @property
+    def solid(self) -> bool:
+        """Whether no mass crosses it."""
+        return self._kind.solid
 
     def remember(self, state: np.ndarray) -> None:
-        """Store the initial state at a far field that was given none.
+        """Keep the initial state behind the side: a far field that was given none has it.
 
         Parameters
         ----------
         state : (ny + 2 wy, nx + 2 wx, d + 2) array
             Ghosted initial state.
         """
-        if self.kind == "far-field" and (self.outside is None or self.outside.ndim == 2):
-            self.outside = self._inwards(state)[GHOSTS].copy()
+        self.start = self._inwards(state)[GHOSTS].copy()
 
     def fill(self, state: np.ndarray) -> None:
         """Fill this side's ghosts of a ghosted state (ny + 2 wy, nx + 2 wx, d + 2)."""
-        view = self._inwards(state)
-        if self.kind == "far-field":
-            if self.outside is None:
-                raise ValueError("a far field without a state of its own needs set_state first")
-            view[:GHOSTS] = self.outside
-        elif self.solid:
-            mirror(view, self.axis, self.accommodation, self.temperature, self.velocity)
-        else:
-            extend(view, VACUUM if self.kind == "vacuum" else 1.0)
+        self._kind.fill(self._inwards(state), self)
 
     def _inwards(self, state: np.ndarray) -> Any:
         view = state if self.axis == 1 else state.transpose(1, 0, 2)
         return view[::-1] if self.upper else view
+
+
+# --- the kinds of boundary: each fills the ghosts of a view (layers, cells, d + 2) as its side says
+
+
+def specular(view: np.ndarray, side: Side) -> None:
+    """A wall that mirrors."""
+    mirror(view, side.axis, 0.0, side.temperature, side.velocity)
+
+
+def maxwell(view: np.ndarray, side: Side) -> None:
+    """A wall that mirrors and thermalises."""
+    mirror(view, side.axis, side.accommodation, side.temperature, side.velocity)
+
+
+def far_field(view: np.ndarray, side: Side) -> None:
+    """Gas of a given state, else of the initial one."""
+    outside = side.start if side.given is None else side.given
+    if outside is None:
+        raise ValueError("a far field without a state of its own needs set_state first")
+    view[:GHOSTS] = outside
+
+
+def outflow(view: np.ndarray, side: Side) -> None:
+    """The gas behind the side goes on beyond it."""
+    extend(view, 1.0)
+
+
+def vacuum(view: np.ndarray, side: Side) -> None:
+    """Hardly any gas."""
+    extend(view, VACUUM)
+
+
+class Kind(NamedTuple):
+    """A kind of boundary."""
+
+    fill: Callable[[np.ndarray, Side], None]
+    solid: bool = False
+    """Whether no mass crosses it."""
+
+
+KINDS = {
+    "specular": Kind(specular, solid=True),
+    "maxwell": Kind(maxwell, solid=True),
+    "far-field": Kind(far_field),
+    "outflow": Kind(outflow),
+    "vacuum": Kind(vacuum),
+}
+"""The fluid's boundary conditions by the job's name for them: a new one is a function and a line here."""

@@ -53,6 +53,8 @@ def tile(split: tuple[int, int], cells: tuple[int, int], ranks: int) -> tuple[in
 def places(split: tuple[int, int], cells: tuple[int, int], node_of: Sequence[int]) -> list[int]:
     """The number each rank gets along x first, so that the ranks of a node are a tile.
 
+    Or the number that it has, where fewer cells lie between nodes so: a launcher may have dealt the ranks out better.
+
     Parameters
     ----------
     split, cells : tuple of int
@@ -63,20 +65,41 @@ def places(split: tuple[int, int], cells: tuple[int, int], node_of: Sequence[int
     Returns
     -------
     list of int
-        A permutation that leaves rank 0 where it is; the ranks as they are, where nodes have unequal numbers of them or
-        no tile paves the grid.
+        A permutation that leaves rank 0 where it is; the ranks as they are, where nodes have unequal numbers of them,
+        no tile paves the grid, or tiles cut more.
     """
     counts = set(Counter(node_of).values())
     a, b = tile(split, cells, counts.pop()) if len(counts) == 1 else (0, 0)
+    as_dealt = list(range(len(node_of)))
     if a * b == 0:
-        return list(range(len(node_of)))
+        return as_dealt
     px = split[0]
     number: dict[int, int] = {}
     taken: Counter[int] = Counter()
-    found = []
+    found, tiled = [], list(node_of)
     for node in node_of:
         row, column = divmod(number.setdefault(node, len(number)), px // a)
         up, along = divmod(taken[node], a)
         taken[node] += 1
         found.append((row * b + up) * px + column * a + along)
+        tiled[found[-1]] = node
+    return found if cut(split, cells, tiled) <= cut(split, cells, node_of) else as_dealt
+
+
+def cut(split: tuple[int, int], cells: tuple[int, int], node_at: Sequence[int]) -> int:
+    """Cells along the sides between two nodes, the grid taken as periodic.
+
+    Parameters
+    ----------
+    split, cells : tuple of int
+        As of `tile`.
+    node_at : sequence of int
+        The node of each part of the grid, numbered along x first.
+    """
+    (px, py), (wide, high) = split, cells
+    found = 0
+    for place, node in enumerate(node_at):
+        y, x = divmod(place, px)
+        found += high * (node != node_at[y * px + (x + 1) % px])
+        found += wide * (node != node_at[(y + 1) % py * px + x])
     return found

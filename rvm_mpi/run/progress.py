@@ -27,7 +27,7 @@ class Progress:
     log : a second stream that always gets plain lines, such as run.log
     ranks, stages : cores in use and stages of a time step, for the last line's throughput
     start_time, start_step : where a restarted run begins
-    stretched : function of time that grows as the number of steps (`estimates.stretched_time`); time itself if None
+    stretched : function of time that grows as the number of steps (`time_limits.stretched_time`); time itself if None
     now : clock in seconds, replaced in tests
     """
 

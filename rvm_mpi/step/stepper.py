@@ -15,14 +15,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from rvm_mpi.advice.estimates import (
-    DRIFT_SHARES,
-    cheapest_share,
-    collision_frequency,
-    drift_substeps,
-    explicit_rate,
-    fastest_rate,
-)
+from rvm_mpi import time_limits
 from rvm_mpi.collisions.boltzmann import BoltzmannOperator
 from rvm_mpi.collisions.es_bgk import EXACT, REPLACED, discrete_maxwellian
 from rvm_mpi.collisions.weight_store import shared_weights
@@ -181,7 +174,7 @@ class KineticStepper:
         omega, carried moments and sums that belong to g.
     rates : list of float
         Largest over all cells, in the last stage, of the sum of max|a|/h over the directions of space and, times each
-        of `DRIFT_SHARES`, over those of velocity.
+        of `time_limits.DRIFT_SHARES`, over those of velocity.
     share : int
         Which of them sets the step.
     cooling_rate : float
@@ -214,14 +207,12 @@ class KineticStepper:
         self._far = {name: self._side_states(name, density, velocity, tensor) for name in SIDES if domain.on_side(name)}
         self._run_sweep, self._fill_side = Direct(stage.sweep), Direct(fill_side)
         self._wall_work = np.zeros((5, self.grid.nodes.shape[1])), np.zeros(5)
-        self.rates, self.share, self.cooling_rate = [0.0] * len(DRIFT_SHARES), 0, 0.0
+        self.rates, self.share, self.cooling_rate = [0.0] * len(time_limits.DRIFT_SHARES), 0, 0.0
         self._operator = _operator(job, domain, half_width[0])
         self._source = np.zeros((ny, nx, self.grid.block)) if self._operator else np.zeros((0, 0, 0))
         self._heating, self._penalty = np.zeros((ny, nx)), np.zeros((ny, nx))
         self._slowing = np.ones((ny, nx))
         self.last = Sweep(False, self.g, self._other, self.now, self._middle)
-        if domain.rank % 2 == 0:
-            self._run_sweep.prepare(*self._sweep_arguments(0.0))  # odd ranks compile the other kernels meanwhile
         self._set(density, velocity, tensor)
 
     def _cells(self) -> Cells:
@@ -456,8 +447,8 @@ class KineticStepper:
         """
         state, temperature = self.macroscopic()
         density = state[..., 0]
-        mean = collision_frequency(self.job, density, temperature)
-        rate = np.maximum(mean, 0.5 * fastest_rate(self.job, density, self.omega))
+        mean = time_limits.collision_frequency(self.job, density, temperature)
+        rate = np.maximum(mean, 0.5 * time_limits.fastest_rate(self.job, density, self.omega))
         self._penalty[...] = np.minimum(rate, stage.DEEPEST / dt) if dt > 0.0 else rate
         self._slowing[...] = self._penalty / rate
         self._depth[...] = dt * self._penalty
@@ -468,7 +459,8 @@ class KineticStepper:
         if self._operator is None:
             return 0.0
         state, temperature = self.macroscopic()
-        return self.domain.maximum(float(explicit_rate(self.job, state[..., 0], temperature, self.omega).max()))[0]
+        rates = time_limits.collision_rate(self.job, state[..., 0], temperature, self.omega)
+        return self.domain.maximum(float(rates.max()))[0]
 
     def _sweep(self, second: bool, dt: float, g: np.ndarray, out: np.ndarray, begin: Cells, new: Cells) -> None:
         self.last = Sweep(second, g, out, begin, new)
@@ -478,7 +470,7 @@ class KineticStepper:
             self._collide(g, begin)
         self._run_sweep(*self._sweep_arguments(dt))
         local = self._diagnostics
-        rates = [float(self._rate_of_cells(share).max()) for share in DRIFT_SHARES]
+        rates = self._cell_rates().largest()
         cooling, status = float(local[..., stage.COOLING_RATE].max()), float(local[..., stage.STATUS].max())
         if not (math.isfinite(rates[0]) and math.isfinite(cooling)):
             status = max(status, float(stage.NOT_POSITIVE))
@@ -510,18 +502,14 @@ class KineticStepper:
             self.work,
         )
 
-    def _rate_of_cells(self, share: float) -> np.ndarray:
-        """Sum of max|a|/h over the directions of space and, times `share`, over those of velocity: (ny, nx).
-
-        What of the drift answers an explicit operator's dissipation counts in full: in a cooling gas the two balance,
-        which substeps of one of them would miss by O(dt^2) in each step, always to the same side.
-        """
+    def _cell_rates(self) -> time_limits.CellRates:
+        """What the last stage measured."""
         drift = self._diagnostics[..., stage.DRIFT]
         answering: np.ndarray = np.zeros(())
         if self._operator is not None and self.rescaled:
             across = 0.5 * sum(self.grid.points[: self.grid.dimensions])  # V/h in all directions
-            answering = np.minimum(0.5 * self._diagnostics[..., stage.COOLING_RATE] * across, drift)
-        return self._diagnostics[..., stage.TRANSPORT] + answering + share * (drift - answering)
+            answering = time_limits.answering_rate(self._diagnostics[..., stage.COOLING_RATE], drift, across)
+        return time_limits.CellRates(self._diagnostics[..., stage.TRANSPORT], drift, answering)
 
     @property
     def rate(self) -> float:
@@ -529,16 +517,9 @@ class KineticStepper:
         return self.rates[self.share]
 
     def choose_share(self) -> None:
-        """Choose the share of the drift that the next step is made for, the one that takes least time; collective.
-
-        A long step costs more than a short one, for the cells whose drift it takes in substeps.
-        """
-        self.share = 0
-        if self.rates[0] <= self.rates[-1]:
-            return
-        transport, drift = self._diagnostics[..., stage.TRANSPORT], self._diagnostics[..., stage.DRIFT]
-        substeps = self.domain.total(*(drift_substeps(transport, drift, rate) for rate in self.rates))
-        self.share = cheapest_share(self.rates, substeps, math.prod(self.domain.cells))
+        """Choose the share of the drift that the next step is made for, the one that takes least time; collective."""
+        number = math.prod(self.domain.cells)
+        self.share = time_limits.choose_share(self.rates, self._cell_rates(), number, self.domain.total)
 
     def _fail(self, worst: int) -> None:
         """Name the first bad cell; every rank raises, the line is the same on all.
@@ -552,7 +533,7 @@ class KineticStepper:
         else:
             local = self._diagnostics
             cell = self.first_cell(np.argwhere(local[..., stage.STATUS] == worst))
-            cell = cell or self.first_cell(np.argwhere(~np.isfinite(self._rate_of_cells(1.0))))
+            cell = cell or self.first_cell(np.argwhere(~np.isfinite(self._cell_rates().at(1.0))))
         node = self._sick_node(cell) if cell is not None and worst == stage.NOT_A_NUMBER else None
         where = "" if cell is None else f" in {self.domain.place(cell)}"
         if node is not None:
@@ -571,8 +552,8 @@ class KineticStepper:
 
     def fastest_cell(self, cooling: bool) -> tuple[int, int] | None:
         """The cell that limited the last step by transport and drift, or by cooling; collective."""
-        share = DRIFT_SHARES[self.share]
-        column = self._diagnostics[..., stage.COOLING_RATE] if cooling else self._rate_of_cells(share)
+        share = time_limits.DRIFT_SHARES[self.share]
+        column = self._diagnostics[..., stage.COOLING_RATE] if cooling else self._cell_rates().at(share)
         return self.first_cell(np.argwhere(column == self.domain.maximum(float(column.max()))[0]))
 
     def _sick_node(self, cell: tuple[int, int]) -> tuple[int, ...] | None:

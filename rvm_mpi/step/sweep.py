@@ -13,7 +13,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rvm_mpi.advice.estimates import FITS
 from rvm_mpi.collisions.es_bgk import EXACT, REPLACED, TOO_COLD, discrete_gaussian, discrete_maxwellian
 from rvm_mpi.compiling.declare import kernel, part
 from rvm_mpi.compiling.simd import load, maximum, minimum, splat, store, total
@@ -21,6 +20,7 @@ from rvm_mpi.grid.velocity import EDGE, SPEED2, VALID, VelocityGrid, Y
 from rvm_mpi.kinetic import drift
 from rvm_mpi.kinetic.conservation import SUMS, add_correction, correct, weighted_sums
 from rvm_mpi.kinetic.transport import PIECE, upper_fluxes
+from rvm_mpi.time_limits import FITS
 from rvm_mpi.units import power as plain_power
 
 #: columns of the diagnostics a stage leaves of each cell; the rates are sums of max|a|/h over the directions

@@ -223,7 +223,7 @@ def spoken(done):
 # start-up: what mpirun and the imports need, and mpirun to end the other ranks when rank 0 has left
 START_UP = """
 import os, time
-import rvm_mpi.commands.main, rvm_mpi.job.job, rvm_mpi.advice.estimates
+import rvm_mpi.commands.main, rvm_mpi.job.job, rvm_mpi.advice.start
 if os.environ["OMPI_COMM_WORLD_RANK"] != "0":
     time.sleep(20)
 raise SystemExit(2)

@@ -238,7 +238,7 @@ def test_a_run_that_was_killed(place):
     ids=str,
 )
 def test_a_step_that_leads_nowhere_is_refused_before(place, keys, cure):
-    from rvm_mpi.advice.estimates import check_first_step
+    from rvm_mpi.advice.first_step import check_first_step
     from rvm_mpi.job.job import Job
 
     job = Job.from_dict({"space": {"cells": [4]}, "velocity": {"points": [8, 8]}, "collision": keys,

@@ -3,20 +3,20 @@
 import pytest
 import tomli_w
 
-from rvm_mpi.advice import estimates
+from rvm_mpi.advice import memory
 
 PROGRAM = """
 import sys
 from pathlib import Path
 from mpi4py import MPI
-from rvm_mpi.advice import estimates
+from rvm_mpi.advice import memory
 from rvm_mpi.commands.main import main
 from rvm_mpi.job.job import Job
 comm, job = MPI.COMM_WORLD, sys.argv[1]
 assert main(["run", job, "--output", sys.argv[2], "--overwrite", "--quiet"]) == 0
 status = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text().splitlines())
 peak = comm.allreduce(int(status["VmHWM"].split()[0]) * 1024, op=MPI.MAX)
-said = estimates.memory(Job.from_file(job), comm.size)
+said = memory.memory(Job.from_file(job), comm.size)
 if comm.rank == 0:
     print(peak, said.total - said.libraries + said.weights)
 """
@@ -93,4 +93,4 @@ def test_the_peak_of_a_run_is_the_memory_that_check_prints(mpirun, tmp_path, lib
 def test_libraries(libraries):
     """Other versions of them take something else: the figure is that of Debian 12."""
     for ranks, measured in libraries.items():
-        assert pytest.approx(measured, rel=0.25) == estimates.LIBRARIES, f"on {ranks} ranks"
+        assert pytest.approx(measured, rel=0.25) == memory.LIBRARIES, f"on {ranks} ranks"

@@ -9,7 +9,7 @@ import pytest
 import tomli_w
 
 from benchmarks import grid_accuracy
-from rvm_mpi.advice import accuracy
+from rvm_mpi.advice import accuracy, conduction
 from rvm_mpi.advice.accuracy_tables import BOLTZMANN, DRIFT, HALF_WIDTHS
 from rvm_mpi.commands.main import main
 from rvm_mpi.job.job import Job
@@ -174,7 +174,7 @@ def test_every_drift_is_in_the_table():
 def test_errors_of_the_directions_add_up(drift, points):
     exact = conductivity(0.01, 48, (16, 16), "none", drift, 1.0, 7.0)
     found = conductivity(0.01, 48, points, "kinetic", drift, 1.0, 7.0) / exact
-    foretold = accuracy.drift_worth(drift, [14 / n for n in points], 1.0)
+    foretold = conduction.drift_worth(drift, [14 / n for n in points], 1.0)
     print(f"{drift}, {points}: {found:.4f}, foretold {foretold:.4f}")
     assert found == pytest.approx(foretold, abs=0.006)
 
@@ -190,11 +190,11 @@ def test_discrete_gaussians_in_classical_variables():
     enthalpy = (weights[at] @ nodes**4 / weights[at].sum()) / 3
     wave = conductivity(0.01, 64, (points,), "none", "van-leer", 1.0, half_width)
     wave /= conductivity(0.01, 64, (24,), "none", "van-leer", 1.0, 7.0)
-    worth = accuracy.gaussian_worth(points, half_width, 1.0, 1)
+    worth = conduction.gaussian_worth(points, half_width, 1.0, 1)
     print(f"wave {wave:.4f}, conduction {worth:.4f}, over the enthalpy {worth / enthalpy:.4f}")
     assert abs(worth - 1) > 0.1 and wave == pytest.approx(worth / enthalpy, rel=0.03)
-    assert accuracy.gaussian_worth(24, 7.0, 1.0, 3) == pytest.approx(1.0, abs=1e-5)
-    assert accuracy.gaussian_worth(8, 7.0, 0.4, 1) == np.inf
+    assert conduction.gaussian_worth(24, 7.0, 1.0, 3) == pytest.approx(1.0, abs=1e-5)
+    assert conduction.gaussian_worth(8, 7.0, 0.4, 1) == np.inf
 
 
 def test_check_says_what_the_drift_conducts_and_the_cure(tmp_path, capsys):

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rvm_mpi import kinetic_theory
-from rvm_mpi.advice import estimates
+from rvm_mpi import kinetic_theory, time_limits
+from rvm_mpi.advice import duration, first_step, initial, memory, physics, velocity_grid
 from rvm_mpi.collisions.weights import Rows
 from rvm_mpi.commands import bench
 from rvm_mpi.grid.domain import aligned
@@ -41,7 +41,7 @@ def test_no_positive_numbers_on_the_nodes_are_colder(points, width, where, data)
     h = 2 * width / points
     nodes = (2 * np.arange(points) + 1 - points) * h / 2
     mean = where * nodes[-1]
-    least = estimates.least_temperature(points, width, mean)
+    least = velocity_grid.least_temperature(points, width, mean)
     below = int(np.clip(np.floor((mean - nodes[0]) / h), 0, points - 2))
     share = (mean - nodes[below]) / h
     attained = (1 - share) * (nodes[below] - mean) ** 2 + share * (nodes[below + 1] - mean) ** 2
@@ -53,30 +53,30 @@ def test_no_positive_numbers_on_the_nodes_are_colder(points, width, where, data)
 
 
 def test_the_coarse_direction_of_test_4():
-    assert estimates.least_temperature(8, 7.0) == pytest.approx(0.765625)
-    assert estimates.least_temperature(9, 7.0) == pytest.approx(0, abs=1e-12)
-    assert estimates.least_temperature(8, 7.0, 6.9) == inf
-    assert estimates.smallest_temperature(make()) == pytest.approx((2 * (7 / 24) ** 2 + 0.765625) / 3)
+    assert velocity_grid.least_temperature(8, 7.0) == pytest.approx(0.765625)
+    assert velocity_grid.least_temperature(9, 7.0) == pytest.approx(0, abs=1e-12)
+    assert velocity_grid.least_temperature(8, 7.0, 6.9) == inf
+    assert velocity_grid.smallest_temperature(make()) == pytest.approx((2 * (7 / 24) ** 2 + 0.765625) / 3)
     # the figures of the sampled Gaussian on this grid: 4 % too warm at T_g = 1, 12 % at 0.8
-    assert estimates.sampled_temperature(8, 7.0, 1.0) == pytest.approx(1.04, abs=0.005)
-    assert estimates.sampled_temperature(8, 7.0, 0.8) / 0.8 == pytest.approx(1.12, abs=0.005)
+    assert velocity_grid.sampled_temperature(8, 7.0, 1.0) == pytest.approx(1.04, abs=0.005)
+    assert velocity_grid.sampled_temperature(8, 7.0, 0.8) / 0.8 == pytest.approx(1.12, abs=0.005)
 
 
 @pytest.mark.parametrize(("points", "width"), [(8, 7.0), (16, 7.0), (24, 7.0), (9, 5.0)])
 def test_sampling_limit_is_where_the_error_passes_one_percent(points, width):
-    limit = estimates.sampling_limit(points, width)
-    assert abs(estimates.sampled_temperature(points, width, 1.02 * limit) / (1.02 * limit) - 1) < 0.01
-    assert abs(estimates.sampled_temperature(points, width, 0.95 * limit) / (0.95 * limit) - 1) > 0.01
+    limit = velocity_grid.sampling_limit(points, width)
+    assert abs(velocity_grid.sampled_temperature(points, width, 1.02 * limit) / (1.02 * limit) - 1) < 0.01
+    assert abs(velocity_grid.sampled_temperature(points, width, 0.95 * limit) / (0.95 * limit) - 1) > 0.01
 
 
 def test_largest_mach_leaves_the_smallest_temperature():
     job = make()
-    d, mach = 3, estimates.largest_mach(job)
+    d, mach = 3, velocity_grid.largest_mach(job)
     temperature = 1.0
     speed = mach * sqrt((d + 2) / d * temperature)
     omega2 = temperature + speed**2 / d
-    assert temperature / omega2 == pytest.approx(estimates.smallest_temperature(job))
-    assert estimates.largest_mach(make(points=(25, 25, 25))) > 1e6
+    assert temperature / omega2 == pytest.approx(velocity_grid.smallest_temperature(job))
+    assert velocity_grid.largest_mach(make(points=(25, 25, 25))) > 1e6
 
 
 # --- does the state fit the box
@@ -100,7 +100,7 @@ def test_largest_mach_leaves_the_smallest_temperature():
     ],
 )
 def test_states_that_fit(job):
-    estimates.check_box(job)
+    velocity_grid.check_box(job)
 
 
 @pytest.mark.parametrize(
@@ -121,7 +121,7 @@ def test_states_that_fit(job):
 )
 def test_states_that_do_not_fit(job, wrong):
     with pytest.raises(JobError) as caught:
-        estimates.check_box(job)
+        velocity_grid.check_box(job)
     assert wrong in str(caught.value)
     assert str(caught.value).startswith("velocity.")
 
@@ -130,7 +130,7 @@ def test_states_that_do_not_fit(job, wrong):
 
 
 def test_first_step_of_test_4_is_set_by_transport():
-    first = estimates.first_step(make({"state": "random-density"}, scaling={"kind": "macroscopic"}))
+    first = first_step.first_step(make({"state": "random-density"}, scaling={"kind": "macroscopic"}))
     assert first.dt == first.later == pytest.approx(0.5 / (2 * 7 * 64))
     assert "transport" in first.limit
     assert first.drift_rate == 0
@@ -141,7 +141,7 @@ def test_kinetic_scaling_heats_a_nearly_empty_cell_at_once():
     rho, cells = 0.001, 16
     initial = {"state": "riemann", "position": 1 / 16, "left": {"density": rho, "temperature": 1}}
     job = make({**initial, "right": {"density": 1, "temperature": 1}}, cells=(cells,), collision=ELASTIC)
-    first = estimates.first_step(job)
+    first = first_step.first_step(job)
     growth = cells * 2 / sqrt(2 * pi) * ((1 - rho) * 4 / 3 - (1 - rho)) / (2 * rho)
     assert first.growth_rate == pytest.approx(growth * (12 + 12 + 4), rel=1e-12)
     # one cell of sixteen: its drift is best taken in as many substeps as are allowed
@@ -155,12 +155,12 @@ def test_first_step_against_a_loop_over_cells():
 
     The share is the one of 1, 1/4, 1/16 that takes least time where a substep of a cell's drift costs 0.3 of its stage.
     """
-    initial = {"state": "wave", "mode": [1, 1], "temperature_amplitude": 0.9, "velocity": [0.5, 0, 0]}
+    wave = {"state": "wave", "mode": [1, 1], "temperature_amplitude": 0.9, "velocity": [0.5, 0, 0]}
     job = make(
-        initial, cells=(12, 10), points=(16, 12, 10), half_width=[7, 6, 5], collision=ELASTIC,
+        wave, cells=(12, 10), points=(16, 12, 10), half_width=[7, 6, 5], collision=ELASTIC,
         scaling={"kind": "macroscopic"},
     )  # fmt: skip
-    start = estimates.start_fields(job)
+    start = initial.start_fields(job)
     omega = np.sqrt(start.temperature + 0.25 / 3)
     cells = []
     for j in range(10):
@@ -176,52 +176,52 @@ def test_first_step_against_a_loop_over_cells():
         most = 1.05 * 0.5
         substeps = [ceil(dt * drift / 0.5) if dt * (transport + drift) > most else 0 for transport, drift in cells]
         costs[(120 + 0.3 * sum(substeps)) / dt] = dt
-    assert estimates.first_step(job).dt == pytest.approx(costs[min(costs)], rel=1e-12)
+    assert first_step.first_step(job).dt == pytest.approx(costs[min(costs)], rel=1e-12)
 
 
 def test_which_limit_binds():
     disc = make({"state": "temperature-disc"}, collision=ELASTIC, space={"lower": [-1, -1]})
-    assert "drift" in estimates.first_step(disc).limit
-    homogeneous = estimates.first_step(make(cells=()))
+    assert "drift" in first_step.first_step(disc).limit
+    homogeneous = first_step.first_step(make(cells=()))
     assert "cooling" in homogeneous.limit
     assert homogeneous.dt == pytest.approx(0.1 / (2 * make().collision.cooling))
-    assert estimates.first_step(make(time={"dt": 0.01})).limit == "time.dt"
-    assert "time.end" in estimates.first_step(make(cells=(), collision=ELASTIC)).limit
-    unscaled = estimates.first_step(make(cells=(), scaling={"kind": "none"}, time={"cfl": 0.01}))
+    assert first_step.first_step(make(time={"dt": 0.01})).limit == "time.dt"
+    assert "time.end" in first_step.first_step(make(cells=(), collision=ELASTIC)).limit
+    unscaled = first_step.first_step(make(cells=(), scaling={"kind": "none"}, time={"cfl": 0.01}))
     assert "drift" in unscaled.limit
 
 
 def test_steps_of_a_cooling_gas_follow_haffs_law():
     """Steps grow like 1/omega: sum them one by one."""
     job = make(cells=(64,), time={"end": 3.0})
-    dt, cooling, t, count = estimates.first_step(job).dt, job.collision.cooling, 0.0, 0
+    dt, cooling, t, count = first_step.first_step(job).dt, job.collision.cooling, 0.0, 0
     while t < 3.0:
         t += dt * (1 + cooling * t)
         count += 1
-    assert estimates.steps(job) == pytest.approx(count, rel=0.01)
-    assert estimates.steps(make(time={"end": 3.0, "max_steps": 7})) == 7
-    assert estimates.steps(make(collision=ELASTIC, cells=(64,))) == pytest.approx(30 * 7 * 64 / 0.5)
+    assert duration.steps(job) == pytest.approx(count, rel=0.01)
+    assert duration.steps(make(time={"end": 3.0, "max_steps": 7})) == 7
+    assert duration.steps(make(collision=ELASTIC, cells=(64,))) == pytest.approx(30 * 7 * 64 / 0.5)
 
 
 def stages_of(job, cells, ratio):
     """Seconds of ten steps of two stages on two cores with a triad of 1 ns, `ratio` times that a phase-space cell."""
-    return 10 * (estimates.SECONDS_PER_STEP + 2 * cells * ratio * estimates.STEP_PER_STAGES * 1e-9 / 2)
+    return 10 * (duration.SECONDS_PER_STEP + 2 * cells * ratio * duration.STEP_PER_STAGES * 1e-9 / 2)
 
 
 def test_run_time_counts_cells_stages_and_ranks():
     job = make(cells=(64,), time={"max_steps": 10})
-    assert estimates.run_seconds(job, 2, 1e-9) == pytest.approx(stages_of(job, 64 * 24 * 24 * 8, 3.5))
+    assert duration.run_seconds(job, 2, 1e-9) == pytest.approx(stages_of(job, 64 * 24 * 24 * 8, 3.5))
     large = make(cells=(64,), points=(32, 32, 32), time={"max_steps": 10})
-    assert estimates.run_seconds(large, 2, 1e-9) == pytest.approx(stages_of(large, 64 * 32**3, 4.5))
+    assert duration.run_seconds(large, 2, 1e-9) == pytest.approx(stages_of(large, 64 * 32**3, 4.5))
     line = make(cells=(64,), points=(24,), time={"max_steps": 10}, collision={"operator": "none"})
     # in one velocity dimension a node takes the room of eight
-    assert estimates.run_seconds(line, 2, 1e-9) == pytest.approx(stages_of(line, 64 * 24 * 8, 3.5))
+    assert duration.run_seconds(line, 2, 1e-9) == pytest.approx(stages_of(line, 64 * 24 * 8, 3.5))
     positive = make(cells=(64,), time={"max_steps": 10}, scheme={"drift": "seventh-order-positive"})
-    assert estimates.run_seconds(positive, 2, 1e-9) == pytest.approx(stages_of(positive, 64 * 24 * 24 * 8, 3.5 * 1.75))
+    assert duration.run_seconds(positive, 2, 1e-9) == pytest.approx(stages_of(positive, 64 * 24 * 24 * 8, 3.5 * 1.75))
 
 
 def test_every_reconstruction_has_a_cost():
-    assert set(estimates.STAGE_WITH_DRIFT) == {"van-leer", *drift.ORDERS}
+    assert set(duration.STAGE_WITH_DRIFT) == {"van-leer", *drift.ORDERS}
 
 
 def test_the_triad_is_that_of_bench():
@@ -232,7 +232,7 @@ def test_the_triad_is_that_of_bench():
         begin = time.perf_counter()
         bench._triad(*arrays, 2.0)
         times.append((time.perf_counter() - begin) / bench.TRIAD_SIZE)
-    assert 0.1 < estimates.triad_seconds() / min(times) < 10
+    assert 0.1 < duration.triad_seconds() / min(times) < 10
 
 
 def pairs_of_modes(largest):
@@ -249,26 +249,26 @@ def test_run_time_of_the_boltzmann_operator(cells, ranks, counted):
     """Ten operations a pair of modes, in eight cells at once."""
     boltzmann = {"operator": "boltzmann", "knudsen": 1, "restitution": 0.9}
     job = make(cells=cells, points=(10, 10), half_width=7, collision=boltzmann, time={"max_steps": 1})
-    work = 10 * pairs_of_modes(4) / estimates.OPERATIONS_PER_SECOND + 100 * estimates.SECONDS_PER_NODE
-    assert estimates.operator_seconds(job, ranks) == pytest.approx(counted * work)
-    rest = estimates.SECONDS_PER_STEP + 2 * int(np.prod(cells)) * 10 * 16 * 3.5e-9 * estimates.STEP_PER_STAGES / ranks
-    assert estimates.run_seconds(job, ranks, 1e-9) == pytest.approx(2 * counted * work + rest)
-    assert estimates.operator_seconds(make(), 1) == 0
+    work = 10 * pairs_of_modes(4) / duration.OPERATIONS_PER_SECOND + 100 * duration.SECONDS_PER_NODE
+    assert duration.operator_seconds(job, ranks) == pytest.approx(counted * work)
+    rest = duration.SECONDS_PER_STEP + 2 * int(np.prod(cells)) * 10 * 16 * 3.5e-9 * duration.STEP_PER_STAGES / ranks
+    assert duration.run_seconds(job, ranks, 1e-9) == pytest.approx(2 * counted * work + rest)
+    assert duration.operator_seconds(make(), 1) == 0
 
 
 # --- memory
 
 
 def test_memory_of_g_is_two_ghosted_copies():
-    assert estimates.memory(make(), 1).g == 2 * 8 * 68 * 68 * 4608
-    assert estimates.memory(make(), 2).g == 2 * 8 * 68 * 36 * 4608
-    assert estimates.memory(make(cells=(64,)), 1).g == 2 * 8 * 68 * 4608
-    assert estimates.memory(make(cells=()), 1).g == 2 * 8 * 4608
-    assert estimates.cell_block((24, 24, 8)) == 4608
-    assert estimates.cell_block((5, 3, 3)) == 5 * 16
-    assert estimates.cell_block((10,)) == 10 * 8
+    assert memory.memory(make(), 1).g == 2 * 8 * 68 * 68 * 4608
+    assert memory.memory(make(), 2).g == 2 * 8 * 68 * 36 * 4608
+    assert memory.memory(make(cells=(64,)), 1).g == 2 * 8 * 68 * 4608
+    assert memory.memory(make(cells=()), 1).g == 2 * 8 * 4608
+    assert memory.cell_block((24, 24, 8)) == 4608
+    assert memory.cell_block((5, 3, 3)) == 5 * 16
+    assert memory.cell_block((10,)) == 10 * 8
     with pytest.raises(JobError, match="cannot share"):
-        estimates.memory(make(), 5000)
+        memory.memory(make(), 5000)
 
 
 # --- physics
@@ -276,7 +276,7 @@ def test_memory_of_g_is_two_ghosted_copies():
 
 def test_physics_of_hard_spheres():
     job = make({"state": "uniform", "density": 2.0, "temperature": 4.0})
-    gas = estimates.physics(job)
+    gas = physics.physics(job)
     path = 0.01 / (sqrt(2) * pi * 2.0)  # of unit diameter
     assert gas.mean_free_path.mean == pytest.approx(path)
     assert gas.collision_time.mean == pytest.approx(path / sqrt(8 * 4 / pi))
@@ -287,8 +287,8 @@ def test_physics_of_hard_spheres():
 
 def test_means_are_those_of_the_gas_not_of_empty_cells():
     """Density uniform in (0, 1): the mean free path of the mean state, whatever the emptiest cell has."""
-    gas = estimates.physics(make({"state": "random-density"}))
-    density = estimates.start_fields(make({"state": "random-density"})).density
+    gas = physics.physics(make({"state": "random-density"}))
+    density = initial.start_fields(make({"state": "random-density"})).density
     path = 0.01 / (sqrt(2) * pi * density)
     assert gas.mean_free_path.mean == pytest.approx((density * path).sum() / density.sum(), rel=1e-12)
     assert gas.mean_free_path.mean == pytest.approx(gas.knudsen, rel=1e-12) == pytest.approx(0.0045, rel=0.02)
@@ -303,7 +303,7 @@ def test_means_are_those_of_the_gas_not_of_empty_cells():
 )
 def test_the_knudsen_number_is_that_of_the_gap_between_boundaries(boundary, side):
     job = make(cells=(16, 8), space={"upper": [2.0, 0.5], "boundary": boundary}, collision=ELASTIC)
-    gas = estimates.physics(job)
+    gas = physics.physics(job)
     assert gas.knudsen == pytest.approx(gas.mean_free_path.mean / side) and gas.length == side
 
 
@@ -322,13 +322,13 @@ def test_boltzmann_collision_frequency_by_sampling():
     job = make(cells=(), points=(32, 32, 32), collision=collision)
     v, w = np.random.default_rng(0).standard_normal((2, 200_000, 3)) * sqrt(1.7)
     expected = 2.0 * 0.3 * 4 * pi * np.linalg.norm(v - w, axis=1).mean() / 0.5
-    assert estimates.collision_frequency(job, np.array(2.0), np.array(1.7)) == pytest.approx(
+    assert time_limits.collision_frequency(job, np.array(2.0), np.array(1.7)) == pytest.approx(
         expected, rel=0.01
     )
 
 
 def test_free_transport_has_no_collision_scales():
-    assert estimates.physics(make(collision={"operator": "none"})) is None
+    assert physics.physics(make(collision={"operator": "none"})) is None
 
 
 @pytest.mark.parametrize(
@@ -336,7 +336,7 @@ def test_free_transport_has_no_collision_scales():
     [(0.5, "0.5 s"), (100, "100 s"), (600, "10.0 min"), (7200, "2.0 h"), (2e5, "2.3 days")],
 )
 def test_durations_in_words(seconds, words):
-    assert estimates.duration_in_words(seconds) == words
+    assert duration.duration_in_words(seconds) == words
 
 
 def test_boltzmann_weights_that_do_not_fit_are_refused_with_what_would():
@@ -344,9 +344,9 @@ def test_boltzmann_weights_that_do_not_fit_are_refused_with_what_would():
     job = make(
         cells=(), velocity={"points": [24, 24, 24]}, collision={"operator": "boltzmann", "knudsen": 1, "restitution": 1}
     )
-    estimates.check_weights(job)
+    memory.check_weights(job)
     with pytest.raises(JobError, match=r"16\.3 MB.*allowed such as \[(20|18), (20|18), (20|18)\]"):
-        estimates.check_weights(job, available=100e6)
+        memory.check_weights(job, available=100e6)
 
 
 def test_boltzmann_weights_are_counted_once_a_node():
@@ -356,9 +356,9 @@ def test_boltzmann_weights_are_counted_once_a_node():
         velocity={"points": [16, 16, 16]},
         collision={"operator": "boltzmann", "knudsen": 1, "restitution": 1},
     )
-    one, four = estimates.memory(job, 1), estimates.memory(job, 4)
+    one, four = memory.memory(job, 1), memory.memory(job, 4)
     weights = Rows.create((16, 16, 16)).weight_bytes
     assert one.weights == four.weights == weights
     assert one.operator - four.operator == 8 * 72 * 16**3
-    assert one.total == one.g + one.fluxes + one.operator + one.fields + estimates.LIBRARIES
-    assert estimates.memory(make()).weights == 0
+    assert one.total == one.g + one.fluxes + one.operator + one.fields + memory.LIBRARIES
+    assert memory.memory(make()).weights == 0

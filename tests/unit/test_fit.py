@@ -6,7 +6,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from rvm_mpi import Simulation
-from rvm_mpi.advice import estimates
+from rvm_mpi.advice import start, velocity_grid
 from rvm_mpi.collisions import es_bgk
 from rvm_mpi.commands.main import main
 from rvm_mpi.grid.velocity import VelocityGrid
@@ -92,7 +92,7 @@ def test_what_a_run_refuses_a_check_refuses(name, tmp_path, capsys):
 def test_the_points_that_a_refusal_names_will_do():
     job = REFUSED["flow along x, cold across it"]
     with pytest.raises(JobError, match=r"allowed such as \[32, 15, 15\].*cell \(0, 0\).*along y .* needs 0.1667"):
-        estimates.check_box(job)
+        velocity_grid.check_box(job)
     assert Simulation(make(velocity={"points": [32, 15, 15], "half_width": [6.0, 5.5, 5.5]}, initial=job.initial))
 
 
@@ -160,7 +160,7 @@ def outcome(tables):
     except JobError:
         return "no job"
     try:
-        estimates.check_start(job, 1)
+        start.check_start(job, 1)
         checked = ""
     except JobError as error:
         checked = str(error)

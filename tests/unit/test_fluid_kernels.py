@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from rvm_mpi.fluid import GHOSTS, euler
+from rvm_mpi.fluid import GHOSTS, cells, euler
 from rvm_mpi.fluid.weno import weno5
 
 
@@ -178,11 +178,11 @@ def test_one_limited_euler_step_is_positive_at_the_largest_step(d):
     rng = np.random.default_rng(5)
     for _ in range(20):
         state = random_state(rng, (1, 60 + 2 * GHOSTS), d, 8.0)
-        rate = euler.largest_rate(state, 0, 0, 0.0, 1.0)
+        rate = cells.largest_rate(state, 0, 0, 0.0, 1.0)
         change = np.empty((1, 60, d + 2))
         euler.sweep(state, change, 0, 1, 0.5 / rate, False, False, np.zeros(euler.work_size(60)))
         inside = state[:, GHOSTS:-GHOSTS].copy()
-        assert euler.combine(inside, inside.copy(), change, 1.0) == 60
+        assert cells.combine(inside, inside.copy(), change, 1.0) == 60
         assert (inside[..., 0] > 0).all() and all(inner(q) > 0 for q in inside[0])
 
 
@@ -193,12 +193,12 @@ def test_combine_cool_rate_and_omega_are_their_twins():
         change = 1e-3 * rng.normal(size=state.shape)
         expected = 0.75 * start + 0.25 * (state + change)
         result = state.copy()
-        assert euler.combine(result, start, change, 0.25) == 20
+        assert cells.combine(result, start, change, 0.25) == 20
         assert np.allclose(result, expected, rtol=1e-14)
         result[2, 3, 0] = -1.0
-        assert euler.combine(result, start, np.zeros_like(change), 1.0) == 13
+        assert cells.combine(result, start, np.zeros_like(change), 1.0) == 13
         result[1, 0, -1] = np.nan
-        assert euler.combine(result, start, np.zeros_like(change), 1.0) == 5
+        assert cells.combine(result, start, np.zeros_like(change), 1.0) == 5
 
         temperature = np.array([[2 * inner(q) / (d * q[0]) for q in row] for row in state])
         rate = 0.7 * state[..., 0] * 0.3
@@ -208,7 +208,7 @@ def test_combine_cool_rate_and_omega_are_their_twins():
             (0.0, temperature * np.exp(-2 * rate)),
         ):
             cooled = state.copy()
-            euler.cool(cooled, 0.7, power, 0.3)
+            cells.cool(cooled, 0.7, power, 0.3)
             expected = state[..., -1] + 0.5 * d * state[..., 0] * (after - temperature)
             assert np.allclose(cooled[..., -1], expected, rtol=1e-13)
             assert np.array_equal(cooled[..., :-1], state[..., :-1])
@@ -216,8 +216,8 @@ def test_combine_cool_rate_and_omega_are_their_twins():
         sound = np.sqrt((d + 2) / d * temperature)
         u = abs(state[..., 1:-1] / state[..., :1])
         rate = (u[..., 0] + sound) * 3.0 + ((u[..., 1] + sound) * 2.0 if d > 1 else 0.0)
-        assert euler.largest_rate(state, 0, 0, 2.0, 3.0) == pytest.approx(rate.max(), rel=1e-13)
+        assert cells.largest_rate(state, 0, 0, 2.0, 3.0) == pytest.approx(rate.max(), rel=1e-13)
 
         omega = np.empty((4, 5))
-        euler.root_mean_energy(state, omega)
+        cells.root_mean_energy(state, omega)
         assert np.allclose(omega, np.sqrt(2 * state[..., -1] / (d * state[..., 0])), rtol=1e-15)

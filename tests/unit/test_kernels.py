@@ -50,9 +50,9 @@ print(digest.hexdigest())
 OTHERS = """
 import numpy as np
 from rvm_mpi.kinetic import conservation
-from rvm_mpi.fluid import euler
+from rvm_mpi.fluid import cells
 assert not conservation.solve(np.zeros((2, 2)) - np.eye(2), np.zeros(2), 2)
-euler.cool(np.ones((1, 1, 3)), 1.0, 1.0, 0.1)
+cells.cool(np.ones((1, 1, 3)), 1.0, 1.0, 0.1)
 assert conservation.relative_mismatch(np.ones(10), 1.0, 1.0, 3.0) == 1.0
 """
 

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rvm_mpi import Simulation
-from rvm_mpi.advice.estimates import check_box
+from rvm_mpi.advice.velocity_grid import check_box
 from rvm_mpi.job.job import JobError
 from tests.verification.kinetic_cases import build, line
 

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rvm_mpi import Job
-from rvm_mpi.advice import estimates
+from rvm_mpi.advice import duration, first_step, physics, velocity_grid
 from rvm_mpi.commands.compare import compare_paths
 from rvm_mpi.job.job import JobError
 from rvm_mpi.simulation import run_job
@@ -269,12 +269,12 @@ def test_what_is_foretold(operator, scaling):
     """`rvm check` says of both jobs the same, in their units."""
     job, units = make_job(operator, scaling, "riemann", "diffuse", "far-field"), powers(66, -65, 64)
     other = rescaled(job, units)
-    estimates.check_box(other)
-    own, found = estimates.first_step(job), estimates.first_step(other)
+    velocity_grid.check_box(other)
+    own, found = first_step.first_step(job), first_step.first_step(other)
     assert (found.dt, found.later, found.limit) == (units.time * own.dt, units.time * own.later, own.limit)
     assert (found.drift_rate, found.cooling_rate) == (own.drift_rate / units.time, own.cooling_rate / units.time)
-    assert estimates.steps(other) == estimates.steps(job)
-    path, other_path = (estimates.physics(one).cells_per_mean_free_path for one in (job, other))
+    assert duration.steps(other) == duration.steps(job)
+    path, other_path = (physics.physics(one).cells_per_mean_free_path for one in (job, other))
     assert path == other_path
 
 
@@ -283,7 +283,7 @@ def test_a_box_that_is_too_small_is_refused_in_any_units():
         small = make_job("granular", "none", velocity={"points": [10, 9], "half_width": 2.0})
         job = rescaled(small, Units(velocity=unit))
         with pytest.raises(JobError, match="half_width: too small") as refused:
-            estimates.check_box(job)
+            velocity_grid.check_box(job)
         allowed = float(re.search(r"at least (\S+) along x", str(refused.value))[1])
         assert 3.2 * unit < allowed < 4.5 * unit
 
