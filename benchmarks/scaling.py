@@ -105,7 +105,7 @@ def watched_run(job: dict, log: Log):
     comm = MPI.COMM_WORLD
     sim = Stepped(Job.from_dict(job, "scaling"))
     sim.domain.exchange = log.timed("exchange", sim.domain.exchange, lambda *call: ("exchange", *call))
-    for name in ("first_stage", "second_stage"):
+    for name in ("first_stage", "later_stages"):
         setattr(sim.kinetic, name, log.timed("stages", getattr(sim.kinetic, name)))
     folder = tempfile.TemporaryDirectory() if comm.rank == 0 else None
     output = Path(comm.bcast(folder.name if folder else None)) / "run"

@@ -25,7 +25,7 @@ import numpy as np
 from rvm_mpi import time_limits
 from rvm_mpi.advice.accuracy import GridWatch
 from rvm_mpi.advice.velocity_grid import check_sides
-from rvm_mpi.compiling import declare as kernels
+from rvm_mpi.compiling.declare import all_compiled
 from rvm_mpi.exact_sum import exact_sums
 from rvm_mpi.fluid import FluidSystem, PositivityLost
 from rvm_mpi.grid.domain import Domain
@@ -41,7 +41,8 @@ from rvm_mpi.run.lock import Claim
 from rvm_mpi.run.terminal import tell
 from rvm_mpi.run.watch import Watch
 from rvm_mpi.states import macroscopic_state
-from rvm_mpi.step.stepper import KineticStepper, NumericalFailure, StepReport
+from rvm_mpi.step.failure import NumericalFailure
+from rvm_mpi.step.stepper import KineticStepper, StepReport
 from rvm_mpi.time_limits import COOLING, COURANT, Limit, Rates
 
 InitialState = Callable[[np.ndarray, np.ndarray], tuple[Any, Any, Any]]
@@ -161,7 +162,7 @@ class Simulation:
                 self.kinetic.first_stage(dt)
                 shorter = time_limits.shorter_step(dt, self.kinetic.rate, self.job.time.cfl)
                 if shorter is None:
-                    report = self.kinetic.second_stage(dt)
+                    report = self.kinetic.later_stages(dt)
                     break
             except (NumericalFailure, PositivityLost) as error:
                 when = f"step {self.number + 1} from t = {self.time:.6g} with dt = {dt:.3g}"
@@ -493,7 +494,7 @@ def run_job(
     _check_same_on_all_ranks(job, output, restart, overwrite)
     if Path.cwd().is_relative_to(output.resolve()):
         output = output.resolve()  # "." goes with a directory that is moved aside
-    if not quiet and launched().rank == 0 and not _compiled_before():
+    if not quiet and launched().rank == 0 and not all_compiled():
         tell("compiling the kernels, kept for the next run: some seconds")
     with Control(output, walltime, job.output.checkpoint_every) as control:
         from mpi4py import MPI
@@ -535,12 +536,6 @@ def _check_same_on_all_ranks(job: Job, output: Path, restart: bool, overwrite: b
                 f"{job.name}: rank {rank} was given another job, directory or option than rank 0: the ranks of one run "
                 "get the same, runs of their own are started one by one"
             )
-
-
-def _compiled_before() -> bool:
-    """Whether the largest kernel is on disk."""
-    directory = kernels.kept_in()
-    return directory is not None and any(directory.glob("rvm_mpi.step.sweep.sweep-*.code"))
 
 
 def _resumed(job: Job, output: Path) -> tuple[Simulation, list[str]]:

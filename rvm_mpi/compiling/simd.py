@@ -378,8 +378,8 @@ def exponential(typingctx, x):  # type: ignore[no-untyped-def]
         r4 = builder.fmul(r2, r2)
         r8 = builder.fmul(r4, r4)
         pair = [_call(builder, "fma", r, c[n + 1], c[n]) for n in range(0, 12, 2)]
-        low = _call(builder, "fma", r4, _call(builder, "fma", r2, pair[3], pair[2]), _call(builder, "fma", r2, pair[1], pair[0]))
-        polynomial = _call(builder, "fma", r8, _call(builder, "fma", r2, pair[5], pair[4]), low)
+        four = [_call(builder, "fma", r2, pair[n + 1], pair[n]) for n in (0, 2, 4)]
+        polynomial = _call(builder, "fma", r8, four[2], _call(builder, "fma", r4, four[1], four[0]))
         offset = ir.Constant(_INTS, [_ROUND_BITS - 1023] * LANES)
         exponent = builder.sub(builder.bitcast(shifted, _INTS), offset)
         scale = builder.shl(exponent, ir.Constant(_INTS, [52] * LANES))

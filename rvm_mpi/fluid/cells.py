@@ -7,7 +7,7 @@ import numpy as np
 from rvm_mpi.compiling.declare import kernel, part
 
 
-@part(fused=False)
+@part
 def _internal(cell: np.ndarray) -> float:
     """Internal energy density d rho T/2 of one cell's state (d + 2,)."""
     momentum2 = 0.0
@@ -16,7 +16,7 @@ def _internal(cell: np.ndarray) -> float:
     return cell[cell.size - 1] - 0.5 * momentum2 / cell[0]
 
 
-@kernel(fused=False)
+@kernel
 def combine(state: np.ndarray, start: np.ndarray, change: np.ndarray, weight: float) -> int:
     """Runge-Kutta stage: state = (1 - weight) start + weight (state + change).
 
@@ -46,7 +46,7 @@ def combine(state: np.ndarray, start: np.ndarray, change: np.ndarray, weight: fl
     return lost
 
 
-@kernel(fused=False)
+@kernel
 def cool(state: np.ndarray, cooling: float, power: float, dt: float) -> None:
     """The homogeneous cooling of every cell, exact for dT/dt = -2 C rho T^{1 + power/2} (Haff: power 1).
 
@@ -72,7 +72,7 @@ def cool(state: np.ndarray, cooling: float, power: float, dt: float) -> None:
             state[j, i, components - 1] = (state[j, i, components - 1] - inner) + inner / factor
 
 
-@kernel(fused=False)
+@kernel
 def largest_rate(state: np.ndarray, wy: int, wx: int, inverse_dy: float, inverse_dx: float) -> float:
     """Largest sum over the directions of (|u_n| + c)/h, over the cells and the first layer of ghosts.
 
@@ -110,7 +110,7 @@ def largest_rate(state: np.ndarray, wy: int, wx: int, inverse_dy: float, inverse
     return largest
 
 
-@kernel(fused=False)
+@kernel
 def root_mean_energy(state: np.ndarray, out: np.ndarray) -> None:
     """The scaling omega = sqrt(2E/(d rho)) of every cell: state (ny, nx, d + 2), out (ny, nx)."""
     ny, nx, components = state.shape

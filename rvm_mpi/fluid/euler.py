@@ -45,7 +45,7 @@ _FIRST, _INNER = LANES * 29, LANES * 34  # the first-order update and its intern
 _RECORD = LANES * 35
 
 
-@part(fused=False)
+@part
 def _five(work, at):  # type: ignore[no-untyped-def]
     """Five slots: the conserved variables, or what belongs to each of them."""
     return (
@@ -57,7 +57,7 @@ def _five(work, at):  # type: ignore[no-untyped-def]
     )
 
 
-@part(fused=False)
+@part
 def _keep(work, at, a, b, c, d, e):  # type: ignore[no-untyped-def]
     """Set five slots."""
     store(work, at, a)
@@ -67,7 +67,7 @@ def _keep(work, at, a, b, c, d, e):  # type: ignore[no-untyped-def]
     store(work, at + 4 * LANES, e)
 
 
-@part(fused=False)
+@part
 def _complete(work, cell, gamma):  # type: ignore[no-untyped-def]
     """Velocity, sound speed, fluxes and speeds of one cell's conserved variables."""
     density, normal, first, second, energy = _five(work, cell + _STATE)
@@ -83,7 +83,7 @@ def _complete(work, cell, gamma):  # type: ignore[no-untyped-def]
     store(work, cell + _SPEED + 2 * LANES, abs(u + sound))
 
 
-@part(fused=False)
+@part
 def _low_flux(work, cell):  # type: ignore[no-untyped-def]
     """First-order Lax-Friedrichs flux at the face between a cell and the next, with the larger speed of the two."""
     other = cell + _RECORD
@@ -94,7 +94,7 @@ def _low_flux(work, cell):  # type: ignore[no-untyped-def]
         store(work, cell + _LOW + c, 0.5 * (twice_mean - speed * jump))
 
 
-@part(fused=False)
+@part
 def _mean_state(work, stencil, gamma):  # type: ignore[no-untyped-def]
     """Roe's average of the two cells beside the face; the largest speed of each field over the six cells."""
     ul, vl, wl, left, a = _five(work, stencil + 2 * _RECORD + _VELOCITY)
@@ -120,7 +120,7 @@ def _mean_state(work, stencil, gamma):  # type: ignore[no-untyped-def]
         store(work, _BOUND + field, fastest)
 
 
-@part(fused=False)
+@part
 def _flatness(work, stencil):  # type: ignore[no-untyped-def]
     """What is no roughness of the split fluxes of six cells: `FLAT` of their natural sizes, squared.
 
@@ -137,7 +137,7 @@ def _flatness(work, stencil):  # type: ignore[no-untyped-def]
     store(work, _SHEAR_FLAT, shear * shear)
 
 
-@part(fused=False)
+@part
 def _in_fields(work, at, gamma):  # type: ignore[no-untyped-def]
     """Five slots of a cell in the face's characteristic fields: u - c, entropy, two shears, u + c."""
     q, qn, q1, q2, qe = _five(work, at)
@@ -148,7 +148,7 @@ def _in_fields(work, at, gamma):  # type: ignore[no-untyped-def]
     return 0.5 * (pressure - push), q - pressure, q1 - v * q, q2 - w * q, 0.5 * (pressure + push)
 
 
-@part(fused=False)
+@part
 def _project(work, cell, split, gamma):  # type: ignore[no-untyped-def]
     """One cell's part of the split fluxes (f + a w)/2 and (f - a w)/2 in the face's characteristic fields."""
     w_slow, w_entropy, w_first, w_second, w_fast = _in_fields(work, cell + _STATE, gamma)
@@ -176,7 +176,7 @@ def _project(work, cell, split, gamma):  # type: ignore[no-untyped-def]
     )
 
 
-@part(fused=False)
+@part
 def _reconstruct(work):  # type: ignore[no-untyped-def]
     """WENO5 of the split fluxes of each characteristic field, from both sides."""
     step = 5 * LANES
@@ -190,7 +190,7 @@ def _reconstruct(work):  # type: ignore[no-untyped-def]
         store(work, _FIELD + field, from_left + from_right)
 
 
-@part(fused=False)
+@part
 def _high_flux(work, stencil, gamma):  # type: ignore[no-untyped-def]
     """WENO5 flux at the face between the third and the fourth of six cells, kept with the third."""
     _mean_state(work, stencil, gamma)
@@ -214,12 +214,12 @@ def _high_flux(work, stencil, gamma):  # type: ignore[no-untyped-def]
     )
 
 
-@part(fused=False)
+@part
 def _inner_energy(density, normal, shear, other, energy):  # type: ignore[no-untyped-def]
     return energy - 0.5 * (normal * normal + (shear * shear + other * other)) / density
 
 
-@part(fused=False)
+@part
 def _first_order_update(work, cell, ratio):  # type: ignore[no-untyped-def]
     """First-order update of a cell through its two faces; ratio = d_x dt/h."""
     for c in range(0, 5 * LANES, LANES):
@@ -229,7 +229,7 @@ def _first_order_update(work, cell, ratio):  # type: ignore[no-untyped-def]
     store(work, cell + _INNER, _inner_energy(density, normal, shear, other, energy))
 
 
-@part(fused=False)
+@part
 def _allowed(work, face, cell, weight):  # type: ignore[no-untyped-def]
     """The part of a face's high-order flux that one of its two cells allows, which loses weight times the flux.
 
@@ -253,7 +253,7 @@ def _allowed(work, face, cell, weight):  # type: ignore[no-untyped-def]
     return where_positive(minimum(density, inner), share, splat(0.0))
 
 
-@part(fused=False)
+@part
 def _limit(work, cell, ratio):  # type: ignore[no-untyped-def]
     """Draw the flux between a cell and the next towards first order as far as either needs it; ratio = d_x dt/h."""
     theta = minimum(_allowed(work, cell, cell, 2.0 * ratio), splat(1.0))
@@ -263,7 +263,7 @@ def _limit(work, cell, ratio):  # type: ignore[no-untyped-def]
         store(work, cell + _HIGH + c, low + theta * (load(work, cell + _HIGH + c) - low))
 
 
-@part(fused=False)
+@part
 def _slot(component: int, components: int, axis: int) -> int:
     """Where a sweep along an axis keeps a component: the normal momentum before the others, the energy last."""
     if component == components - 1:
@@ -273,7 +273,7 @@ def _slot(component: int, components: int, axis: int) -> int:
     return component
 
 
-@kernel(fused=False)
+@kernel
 def sweep(
     state: np.ndarray,
     change: np.ndarray,

@@ -22,7 +22,7 @@ GHOSTS = 3
 VACUUM = 1e-10
 
 
-@kernel(fused=False)
+@kernel
 def mirror(
     state: np.ndarray, normal: int, accommodation: float, temperature: float, velocity: np.ndarray
 ) -> None:
@@ -64,7 +64,7 @@ def mirror(
             state[ghost, i, d + 1] = (1.0 - accommodation) * state[inner, i, d + 1] + accommodation * wall
 
 
-@kernel(fused=False)
+@kernel
 def extend(state: np.ndarray, factor: float) -> None:
     """Ghosts repeat the cell behind the side, times a factor: 1 for outflow, tiny for a vacuum.
 

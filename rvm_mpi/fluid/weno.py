@@ -18,7 +18,7 @@ from rvm_mpi.compiling.declare import part
 FLAT = 1e-20
 
 
-@part(fused=False)
+@part
 def weno5(a, b, c, d, e, flat):  # type: ignore[no-untyped-def]
     """Value at the face between c and d of the function whose cell averages are a to e, upwind from the left.
 

@@ -8,7 +8,7 @@ spectral operator has left negative in places has no such factor; there a Gaussi
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -44,6 +44,13 @@ class Correction(NamedTuple):
     centre: np.ndarray
     coefficients: np.ndarray
     step: np.ndarray
+
+    @classmethod
+    def ones(cls, grid: Any) -> Correction:
+        """The factor one, for a grid."""
+        points, slab_size = grid.points[0], grid.slab_size
+        vectors = np.zeros(3), np.zeros(5), np.zeros(5)
+        return cls(np.ones(points), np.ones(slab_size), np.zeros(5 * points), np.zeros((5, 5)), *vectors)
 
 
 @part

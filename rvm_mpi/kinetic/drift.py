@@ -70,15 +70,13 @@ class Mix(NamedTuple):
     dt: float
 
 
-@part
-def scratch_size(points, slab_size):  # type: ignore[no-untyped-def]
+def scratch_size(points: tuple[int, int, int], slab_size: int) -> int:
     """Doubles of work space: rows of a slab, zeros before and after each, coefficients, fluxes between pieces."""
-    rows = SCRATCH_ROWS * (slab_size + 2 * _guard(points[2]))
-    return rows + 3 * TAPS + points[0] * _whole_vectors(points[2])
+    rows = SCRATCH_ROWS * (slab_size + 2 * _guard.py_func(points[2]))
+    return rows + 3 * TAPS + points[0] * int(_whole_vectors.py_func(points[2]))
 
 
-@part
-def reach(points_z, slab_size):  # type: ignore[no-untyped-def]
+def reach(points_z: int, slab_size: int) -> int:
     """How many doubles before and after a block `update` reads; what it finds there must be numbers."""
     return 2 * slab_size + points_z + 16
 

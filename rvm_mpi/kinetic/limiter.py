@@ -35,7 +35,8 @@ def van_leer_newton(a, b):  # type: ignore[no-untyped-def]
 def van_leer3(a1, b1, least1, a2, b2, least2, a3, b3, least3):  # type: ignore[no-untyped-def]
     """Three slopes of `van_leer` for one division; zero where the product of differences is not above `least`.
 
-    `least` is `grid.velocity.LEAST` or more: below it the product of the three denominators could leave the range of doubles.
+    `least` is `grid.velocity.LEAST` or more: below it the product of the three denominators could leave the range of
+    doubles.
     """
     zero, one = splat(0.0), splat(1.0)
     p1, p2, p3 = a1 * b1, a2 * b2, a3 * b3

@@ -7,27 +7,16 @@ from typing import Any
 import numpy as np
 
 from rvm_mpi.compiling.declare import kernel
-from rvm_mpi.kinetic.conservation import SUMS, weighted_sums
+from rvm_mpi.kinetic.conservation import SUMS, Correction, weighted_sums
 
 
 @kernel
-def _sums_about(g, space, grid, centres, powers, ones_x, ones_slab, result):  # type: ignore[no-untyped-def]
+def _sums_about(g, space, grid, centres, work, result):  # type: ignore[no-untyped-def]
     row = (space.nx + 2 * space.wx) * grid.block
     for j in range(space.ny):
         for i in range(space.nx):
             cell = (j + space.wy) * row + (i + space.wx) * grid.block
-            weighted_sums(
-                g[cell : cell + grid.block],
-                centres[j, i],
-                grid.points[0],
-                grid.slab_size,
-                grid.x,
-                grid.slab,
-                ones_x,
-                ones_slab,
-                powers,
-                result[j, i],
-            )
+            weighted_sums(g[cell : cell + grid.block], centres[j, i], grid, work, result[j, i])
 
 
 def sums_about(g: np.ndarray, space: Any, grid: Any, centres: np.ndarray) -> np.ndarray:
@@ -42,8 +31,7 @@ def sums_about(g: np.ndarray, space: Any, grid: Any, centres: np.ndarray) -> np.
     (ny, nx, 14) array
     """
     result = np.empty((space.ny, space.nx, SUMS))
-    powers, ones_x, ones_slab = np.zeros(5 * grid.points[0]), np.ones(grid.points[0]), np.ones(grid.slab_size)
-    _sums_about(g.reshape(-1), space, grid, centres, powers, ones_x, ones_slab, result)
+    _sums_about(g.reshape(-1), space, grid, centres, Correction.ones(grid), result)
     return result
 
 
@@ -73,7 +61,7 @@ def fields(
     g : ghosted blocks (ny + 2 wy, nx + 2 wx, block)
     omega : (ny, nx) array
     sums : (ny, nx, 10) array
-        Sums of g over the nodes (`stage.Cells`).
+        Sums of g over the nodes (`data.Cells`).
 
     Returns
     -------

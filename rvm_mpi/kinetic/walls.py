@@ -189,7 +189,7 @@ def entering(side, state, omega, sums, grid, work, lack):  # type: ignore[no-unt
 
 
 @kernel
-def fill_side(g, side, states, omega, sums, grid, work, lack, beyond):  # type: ignore[no-untyped-def]
+def fill_side(g, side, states, omega, sums, grid, work, beyond):  # type: ignore[no-untyped-def]
     """Fill the ghost cells beyond one side of a rank.
 
     Parameters
@@ -199,16 +199,16 @@ def fill_side(g, side, states, omega, sums, grid, work, lack, beyond):  # type: 
     states : (count, 5) array
         rho, u_x, u_y, u_z, T of the wall or the far gas, for each cell along the side.
     omega, sums : (count,) array, (count, 10) array
-        Scaling of the inner cells, and their sums of 1, xi, xi xi (`stage.Cells`).
-    grid : stage.Grid
-    work, lack : (5, longest axis in whole vectors) array, (5,) array
+        Scaling of the inner cells, and their sums of 1, xi, xi xi (`data.Cells`).
+    grid : data.Grid
+    work : (6, longest axis in whole vectors) array
         Work space.
     beyond : (count, 5) array
         Receives rates of mass (none), momentum and energy through the faces, counted along the axis, that the side's
         state has beyond what the nodes of its ghost cells have.
     """
     nvx, nvy, nvz = grid.points
-    size = grid.slab_size
+    size, lack = grid.slab_size, work[5]
     for c in range(omega.size):
         cell = side.inner + c * side.along
         near, far = cell - side.inward, cell - 2 * side.inward

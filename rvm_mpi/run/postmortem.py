@@ -18,7 +18,7 @@ from rvm_mpi.output import rundir
 
 if TYPE_CHECKING:
     from rvm_mpi.simulation import Simulation
-    from rvm_mpi.step.stepper import NumericalFailure
+    from rvm_mpi.step.failure import NumericalFailure
 
 FILE = "post-mortem.json"
 #: nodes of a velocity grid up to which g of the failing cell is kept: the file stays far below 1 MB
@@ -49,7 +49,7 @@ def examine(simulation: Simulation, failure: NumericalFailure) -> dict[str, Any]
         "step": sim.number + 1,
         "time": sim.time,
         "dt": failure.dt,
-        "stage": 2 if sim.kinetic.last.second else 1,
+        "stage": sim.kinetic.last.stage.number + 1,
         "last_step": dict(sim.diagnostics.row),
         "job": sim.job.to_toml(),
     }

@@ -45,7 +45,8 @@ class Grid(NamedTuple):
     """The velocity grid as numbers and arrays for the kernels (`velocity.py`).
 
     stencil (2, taps) are the coefficients of the drift's linear reconstruction, where `linear`; else it is Van Leer's.
-    bounded: whether the linear fluxes are kept from making g negative.
+    bounded: whether the linear fluxes are kept from making g negative. guard: doubles before and after a block that the
+    drift reads; scratch: those of its work space.
     """
 
     dimensions: int
@@ -63,6 +64,8 @@ class Grid(NamedTuple):
     stencil: np.ndarray
     linear: bool
     bounded: bool
+    guard: int
+    scratch: int
 
 
 class Space(NamedTuple):
@@ -255,58 +258,91 @@ def here(grid, space, j, i):  # type: ignore[no-untyped-def]
 
 
 @part
-def _take(buffer, at, size):  # type: ignore[no-untyped-def]
-    """So many doubles of a buffer, and where what follows begins: at a whole vector."""
-    return buffer[at : at + size], at + (size + 7) // 8 * 8
-
-
-@part
 def lay_out(grid, nx, buffer):  # type: ignore[no-untyped-def]
-    """Work space for rows of nx cells in one flat array, and its length; plain Python can do it too.
+    """Work space for rows of nx cells in one flat array, and its length; `lay_out.py_func` is it in plain Python.
 
     One array in place of thirty: numba looks at the type of each argument in each call.
     """
     block, slab_size, points_x = grid.block, grid.slab_size, grid.points[0]
-    guarded = block + 2 * drift.reach(grid.points[2], slab_size)
-    west, at = _take(buffer, 0, block)
-    south, at = _take(buffer, at, block * nx)
-    faces, at = _take(buffer, at, 2 * PIECE)
-    spare, at = _take(buffer, at, block)
-    result, at = _take(buffer, at, block)
-    values, at = _take(buffer, at, block)
-    flow0, at = _take(buffer, at, guarded)
-    flow1, at = _take(buffer, at, guarded)
-    flow2, at = _take(buffer, at, guarded)
-    scratch, at = _take(buffer, at, drift.scratch_size(grid.points, slab_size))
-    mean, at = _take(buffer, at, 3)
-    tensor, at = _take(buffer, at, 6)
-    fitted, at = _take(buffer, at, 10)
-    moments_west, at = _take(buffer, at, 5)
-    moments_east, at = _take(buffer, at, 5)
-    moments_north, at = _take(buffer, at, 5)
-    moments_south, at = _take(buffer, at, 5 * nx)
-    rate, at = _take(buffer, at, 5)
-    wanted, at = _take(buffer, at, 5)
-    target, at = _take(buffer, at, 5)
-    sums, at = _take(buffer, at, SUMS)
-    before, at = _take(buffer, at, 5)
-    extremes, at = _take(buffer, at, 16)
-    factor_x, at = _take(buffer, at, points_x)
-    factor_slab, at = _take(buffer, at, slab_size)
-    powers, at = _take(buffer, at, 5 * points_x)
-    matrix, at = _take(buffer, at, 25)
-    centre, at = _take(buffer, at, 3)
-    coefficients, at = _take(buffer, at, 5)
-    step, at = _take(buffer, at, 5)
-    theta, at = _take(buffer, at, 10)
-    fourth, at = _take(buffer, at, 75)
-    plane, at = _take(buffer, at, 600)
-    products, at = _take(buffer, at, 100)
-    fit_step, at = _take(buffer, at, 10)
-    fit_wanted, at = _take(buffer, at, 10)
-    scale, at = _take(buffer, at, 10)
-    axis, at = _take(buffer, at, 3)
-    inverse, at = _take(buffer, at, 6)
+    guarded, at = block + 2 * grid.guard, 0
+    west = buffer[at : at + block]
+    at += (block + 7) // 8 * 8
+    south = buffer[at : at + block * nx]
+    at += (block * nx + 7) // 8 * 8
+    faces = buffer[at : at + 2 * PIECE]
+    at += (2 * PIECE + 7) // 8 * 8
+    spare = buffer[at : at + block]
+    at += (block + 7) // 8 * 8
+    result = buffer[at : at + block]
+    at += (block + 7) // 8 * 8
+    values = buffer[at : at + block]
+    at += (block + 7) // 8 * 8
+    flow0 = buffer[at : at + guarded]
+    at += (guarded + 7) // 8 * 8
+    flow1 = buffer[at : at + guarded]
+    at += (guarded + 7) // 8 * 8
+    flow2 = buffer[at : at + guarded]
+    at += (guarded + 7) // 8 * 8
+    scratch = buffer[at : at + grid.scratch]
+    at += (grid.scratch + 7) // 8 * 8
+    mean = buffer[at : at + 3]
+    at += (3 + 7) // 8 * 8
+    tensor = buffer[at : at + 6]
+    at += (6 + 7) // 8 * 8
+    fitted = buffer[at : at + 10]
+    at += (10 + 7) // 8 * 8
+    moments_west = buffer[at : at + 5]
+    at += (5 + 7) // 8 * 8
+    moments_east = buffer[at : at + 5]
+    at += (5 + 7) // 8 * 8
+    moments_north = buffer[at : at + 5]
+    at += (5 + 7) // 8 * 8
+    moments_south = buffer[at : at + 5 * nx]
+    at += (5 * nx + 7) // 8 * 8
+    rate = buffer[at : at + 5]
+    at += (5 + 7) // 8 * 8
+    wanted = buffer[at : at + 5]
+    at += (5 + 7) // 8 * 8
+    target = buffer[at : at + 5]
+    at += (5 + 7) // 8 * 8
+    sums = buffer[at : at + SUMS]
+    at += (SUMS + 7) // 8 * 8
+    before = buffer[at : at + 5]
+    at += (5 + 7) // 8 * 8
+    extremes = buffer[at : at + 16]
+    at += (16 + 7) // 8 * 8
+    factor_x = buffer[at : at + points_x]
+    at += (points_x + 7) // 8 * 8
+    factor_slab = buffer[at : at + slab_size]
+    at += (slab_size + 7) // 8 * 8
+    powers = buffer[at : at + 5 * points_x]
+    at += (5 * points_x + 7) // 8 * 8
+    matrix = buffer[at : at + 25]
+    at += (25 + 7) // 8 * 8
+    centre = buffer[at : at + 3]
+    at += (3 + 7) // 8 * 8
+    coefficients = buffer[at : at + 5]
+    at += (5 + 7) // 8 * 8
+    step = buffer[at : at + 5]
+    at += (5 + 7) // 8 * 8
+    theta = buffer[at : at + 10]
+    at += (10 + 7) // 8 * 8
+    fourth = buffer[at : at + 75]
+    at += (75 + 7) // 8 * 8
+    plane = buffer[at : at + 600]
+    at += (600 + 7) // 8 * 8
+    products = buffer[at : at + 100]
+    at += (100 + 7) // 8 * 8
+    fit_step = buffer[at : at + 10]
+    at += (10 + 7) // 8 * 8
+    fit_wanted = buffer[at : at + 10]
+    at += (10 + 7) // 8 * 8
+    scale = buffer[at : at + 10]
+    at += (10 + 7) // 8 * 8
+    axis = buffer[at : at + 3]
+    at += (3 + 7) // 8 * 8
+    inverse = buffer[at : at + 6]
+    at += (6 + 7) // 8 * 8
     work = Work(
         Strips(west, south, spare, faces),
         result,
@@ -325,7 +361,7 @@ def lay_out(grid, nx, buffer):  # type: ignore[no-untyped-def]
 def work_space(grid: Grid, nx: int) -> np.ndarray:
     """A flat array for `lay_out`."""
     no_memory = np.broadcast_to(np.zeros(()), (2**48,))  # laid out there, its length is seen
-    buffer = aligned((lay_out(grid, nx, no_memory)[1],))
+    buffer = aligned((lay_out.py_func(grid, nx, no_memory)[1],))
     buffer[:] = 0.0
     return buffer
 
@@ -350,4 +386,6 @@ def kernel_grid(grid: VelocityGrid, reconstruction: str = "van-leer") -> Grid:
         stencil=drift.stencil(order) if order else np.zeros((2, drift.TAPS)),
         linear=order > 0,
         bounded=reconstruction in drift.POSITIVE,
+        guard=drift.reach(grid.points[2], grid.slab_size),
+        scratch=drift.scratch_size(grid.points, grid.slab_size),
     )

@@ -7,7 +7,7 @@ import math
 from rvm_mpi.collisions.es_bgk import EXACT, REPLACED, discrete_gaussian
 from rvm_mpi.compiling.declare import part
 from rvm_mpi.compiling.simd import fma, load, splat, store
-from rvm_mpi.kinetic.drift import Mix, apply, reach
+from rvm_mpi.kinetic.drift import Mix, apply
 from rvm_mpi.step.relaxation import blend
 from rvm_mpi.time_limits import FITS
 
@@ -83,7 +83,7 @@ def take_substeps(g, cell, grid, turn, mix, share, substeps, work):  # type: ign
     positive where each of these and the transport keep it so.
     """
     block, result, dt = grid.block, work.result, mix.dt
-    at = reach(grid.points[2], grid.slab_size)
+    at = grid.guard
     start, target, spare = work.flow
     for n in range(0, block, 8):
         moved = fma(load(result, n), dt, load(g, cell.block + n)) * mix.weight_new

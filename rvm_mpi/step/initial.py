@@ -12,7 +12,7 @@ from rvm_mpi.compiling.declare import kernel
 from rvm_mpi.grid.velocity import VelocityGrid
 from rvm_mpi.kinetic.conservation import SUMS, correct
 from rvm_mpi.states import distribution
-from rvm_mpi.step import sweep as stage
+from rvm_mpi.step.data import Space, here, kernel_grid, lay_out, work_space
 from rvm_mpi.units import GasUnits
 
 if TYPE_CHECKING:
@@ -22,35 +22,35 @@ THE_JOBS = GasUnits(1.0, 1.0, 1.0)
 
 
 @kernel
-def fill_gaussians(g, space, grid, density, mean, tensors, work, block, status, moments):  # type: ignore[no-untyped-def]
+def fill_gaussians(g, space, grid, sums, mean, tensors, status, buffer):  # type: ignore[no-untyped-def]
     """Discrete Gaussians with the given sums, means and tensors in every cell; status (ny, nx) of each."""
-    row = (space.nx + 2 * space.wx) * grid.block
+    work, _ = lay_out(grid, space.nx, buffer)
+    gaussian = work.gaussian
     for j in range(space.ny):
         for i in range(space.nx):
-            status[j, i] = discrete_gaussian(density[j, i], mean[j, i], tensors[j, i], grid, work, block, moments)
-            cell = (j + space.wy) * row + (i + space.wx) * grid.block
-            scale = density[j, i] / moments[0]
+            wanted = sums[j, i]
+            status[j, i] = discrete_gaussian(
+                wanted, mean[j, i], tensors[j, i], grid, work.fit, gaussian.block, gaussian.sums
+            )
+            at = here(grid, space, j, i).block
+            scale = wanted / gaussian.sums[0]
             for n in range(grid.block):
-                g[cell + n] = scale * block[n]
+                g[at + n] = scale * gaussian.block[n]
+
+
+@kernel
+def _correct(block, target, grid, work, sums):  # type: ignore[no-untyped-def]
+    return correct(block, target, grid, work, sums)
 
 
 def failing(job: Job, mean: np.ndarray, tensor: np.ndarray) -> np.ndarray:
     """Which of these states (n, 3), (n, 6) in g's velocities have no discrete Gaussian of exactly their moments."""
-    grid = stage.kernel_grid(VelocityGrid.create(job.velocity.points, job.velocity.half_width), job.scheme.drift)
+    grid = kernel_grid(VelocityGrid.create(job.velocity.points, job.velocity.half_width), job.scheme.drift)
     count = len(mean)
-    work, status = stage.Work.create(grid, count), np.zeros((1, count), dtype=np.int64)
-    fill_gaussians(
-        np.zeros(count * grid.block),
-        stage.Space(1, count, 1, 0, 0, 1.0, 0.0),
-        grid,
-        np.ones((1, count)),
-        mean[None].copy(),
-        tensor[None].copy(),
-        work.fit,
-        work.gaussian,
-        status,
-        np.zeros(10),
-    )
+    status = np.zeros((1, count), dtype=np.int64)
+    space = Space(1, count, 1, 0, 0, 1.0, 0.0)
+    g, ones = np.zeros(count * grid.block), np.ones((1, count))
+    fill_gaussians(g, space, grid, ones, mean[None].copy(), tensor[None].copy(), status, work_space(grid, count))
     return status[0] > EXACT
 
 
@@ -72,8 +72,8 @@ class Sampler:
         half_width = tuple(v / units.velocity for v in job.velocity.half_width)
         self._velocity_grid = VelocityGrid.create(job.velocity.points, half_width, units.density)
         self._density = units.density
-        self._grid = stage.kernel_grid(self._velocity_grid, job.scheme.drift)
-        self._work = stage.Work.create(self._grid, 1).correction
+        self._grid = kernel_grid(self._velocity_grid, job.scheme.drift)
+        self._work = lay_out.py_func(self._grid, 1, work_space(self._grid, 1))[0].correction
 
     def block(self, density: float, omega: float, mean: np.ndarray, tensor: np.ndarray) -> tuple[np.ndarray, float]:
         """(block,) values of g of one cell, and the relative size of what its moments were corrected by.
@@ -91,5 +91,5 @@ class Sampler:
         target[0] = density / grid.weight
         target[1:4] = target[0] * mean
         target[4] = 0.5 * target[0] * (np.sum(mean**2) + tensor[[0, 3, 5]].sum())
-        off = correct(block.reshape(-1), target, d, *slab, grid.x, grid.slab, self._work, sums)
-        return (self._work[0][:, None] * self._work[1][None, :] * block).reshape(-1), float(off)
+        off = _correct(block.reshape(-1), target, grid, self._work, sums)
+        return (self._work.factor_x[:, None] * self._work.factor_slab * block).reshape(-1), float(off)

@@ -86,13 +86,14 @@ def measure(grid, work):  # type: ignore[no-untyped-def]
 
 
 @part
-def sums_to_have(grid, model, weights, carried, omega, first, work):  # type: ignore[no-untyped-def]
+def sums_to_have(grid, model, weights, lacking, carried, omega, first, work):  # type: ignore[no-untyped-def]
     """Sums 1, xi, |xi|^2/2 at the end of a stage: those of the carried moments, or of the block's relaxed result.
 
     Parameters
     ----------
     weights : Weights
-        What is left of the first Gaussian's is not in the explicit part yet.
+    lacking : float
+        Weight that the first Gaussian has yet to be added with.
     carried, omega : (5,) array, float
         At the end of the stage.
     first : (10,) array
@@ -113,9 +114,9 @@ def sums_to_have(grid, model, weights, carried, omega, first, work):  # type: ig
     for q in range(4):
         wanted[q] = sums[q]
     wanted[4] = 0.5 * (sums[4] + sums[7] + sums[9])
-    relaxed = weights.old + weights.new + weights.first  # 1 unless g^n has a weight of its own
+    whole = weights.old + weights.new + weights.first
     for q in range(5):
-        wanted[q] = (wanted[q] + weights.first * before[q]) / relaxed
+        wanted[q] = (wanted[q] + lacking * before[q]) / whole
 
 
 @part

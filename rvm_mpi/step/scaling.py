@@ -63,7 +63,12 @@ def frame_drift(grid, space, upwind, omega, cell, own, push):  # type: ignore[no
     w0, w1, e0, e1 = omega_across(upwind, omega, y, x, 0, 1 if space.dimensions >= 1 else 0)
     s0, s1, n0, n1 = omega_across(upwind, omega, y, x, 1 if space.dimensions == 2 else 0, 0)
     drift = Drift(
-        own, (e0 - w0) * space.per_dx, (e1 - w1) * space.per_dx, (n0 - s0) * space.per_dy, (n1 - s1) * space.per_dy, push
+        own=own,
+        rising_x=(e0 - w0) * space.per_dx,
+        falling_x=(e1 - w1) * space.per_dx,
+        rising_y=(n0 - s0) * space.per_dy,
+        falling_y=(n1 - s1) * space.per_dy,
+        push=push,
     )
     half_width = grid.half_width
     crossing = max(w0, w1, e0, e1) * half_width[0] * space.per_dx

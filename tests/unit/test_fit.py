@@ -12,7 +12,7 @@ from rvm_mpi.commands.main import main
 from rvm_mpi.grid.velocity import VelocityGrid
 from rvm_mpi.job.job import Job, JobError
 from rvm_mpi.step import fit
-from rvm_mpi.step.stepper import NumericalFailure
+from rvm_mpi.step.failure import NumericalFailure
 
 
 @given(points=st.integers(4, 40), width=st.floats(1, 20), where=st.floats(-0.999, 0.999))

@@ -200,7 +200,7 @@ def test_a_step(name, substeps):
             stepper.set_scaling(omega_end, dt)
         stepper.first_stage(dt)
         counts = [substeps_of(stepper, dt)]
-        stepper.second_stage(dt)
+        stepper.later_stages(dt)
         counts.append(substeps_of(stepper, dt))
         assert all((count > 1).all() if substeps else (count == 0).all() for count in counts)
         wanted, wanted_omega, wanted_carried = twin.step(g, omega, carried, dt, omega_end, counts)

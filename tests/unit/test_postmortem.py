@@ -10,7 +10,7 @@ from rvm_mpi.job.job import Job
 from rvm_mpi.job.text import parse_toml
 from rvm_mpi.run import postmortem
 from rvm_mpi.simulation import Simulation, run_job
-from rvm_mpi.step.stepper import NumericalFailure
+from rvm_mpi.step.failure import NumericalFailure
 
 GRANULAR = {"operator": "granular-es-bgk", "knudsen": 0.2, "restitution": 0.9}
 BOLTZMANN = {"operator": "boltzmann", "knudsen": 0.2, "restitution": 0.95}

@@ -7,7 +7,7 @@ import pytest
 
 from rvm_mpi import Job, Simulation
 from rvm_mpi.states import bkw_solution
-from rvm_mpi.step.stepper import NumericalFailure
+from rvm_mpi.step.failure import NumericalFailure
 
 
 def homogeneous(points, half_width, scaling="kinetic", conservative=True, end=1.0, state=None, dt=None, **collision):

@@ -61,7 +61,7 @@ def test_no_mass_goes_through_where_g_is_negative(kind, points):
         assert abs(through[0, 0]) < 1e-15 * scale[side]
         if kind != "specular":
             assert abs(through[0, 4]) > 1e-2 * scale[side], "energy does go through"
-    kinetic.second_stage(1e-3)
+    kinetic.later_stages(1e-3)
     assert kinetic.now.carried[..., 0].sum() == pytest.approx(mass, rel=1e-15)
     assert weight * kinetic.now.sums[..., 0].sum() == pytest.approx(mass, rel=1e-14)
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from rvm_mpi import Job, Simulation
 from rvm_mpi.job.job import JobError
-from rvm_mpi.step.stepper import NumericalFailure
+from rvm_mpi.step.failure import NumericalFailure
 
 
 class Units(NamedTuple):
