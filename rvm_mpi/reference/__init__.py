@@ -12,6 +12,6 @@ constants the kernels have stand here a second time: `tests/verification/test_re
 """
 
 from rvm_mpi.reference.scheme import STAGES, Stage, step
-from rvm_mpi.reference.state import Problem, State, moments
+from rvm_mpi.reference.state import Problem, State, moments, powers
 
-__all__ = ["STAGES", "Problem", "Stage", "State", "moments", "step"]
+__all__ = ["STAGES", "Problem", "Stage", "State", "moments", "powers", "step"]

@@ -55,7 +55,7 @@ def test_update(points, seed, signed, name, rates, dt, second, z):
     weights = (0.5, 0.5 * (1.0 + z)) if second else (0.0, 1.0)
     found = run(grid, g, before, rate, rates, weights, dt, rng, name)
     a = rates[0], rates[1:5].reshape(2, 2), rates[5:]
-    total = rate + drift_rate(grid, g, *a, drift.ORDERS.get(name, 0), name in drift.POSITIVE)
+    total = rate + drift_rate(grid, g, *a, name)
     wanted = weights[0] * before + weights[1] * (g + dt * total)
     size = np.abs(g).max() * (1.0 + 100.0 * dt * sum(map(abs, rates))) + dt * np.abs(rate).max() + np.abs(before).max()
     np.testing.assert_allclose(found, wanted, rtol=1e-13, atol=1e-14 * size * weights[1] * 10)

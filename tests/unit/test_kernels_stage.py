@@ -1,17 +1,15 @@
-"""What a stage is made of, and both stages as a whole, against plain NumPy."""
+"""What a stage is made of, against plain NumPy; whole steps are in tests/verification/test_reference.py."""
 
 import math
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy_twins import SHAPES, Twin, both_sides, gaussian, make_grid, nodes, pack, random_g, ten_sums
+from numpy_twins import SHAPES, both_sides, gaussian, make_grid, nodes, pack, random_g, ten_sums
 
 from rvm_mpi.grid.domain import Domain
 from rvm_mpi.job.job import Job
-from rvm_mpi.kinetic.drift import ORDERS
 from rvm_mpi.step import sweep as stage
 from rvm_mpi.step.stepper import KineticStepper
 
@@ -83,7 +81,6 @@ def test_blend(points, seed, nu, second, z):
     temperature = (2.0 * energy / wanted[0] - (wanted[1:4] ** 2).sum() / wanted[0] ** 2) / d
     centre, tensor = np.zeros(3), np.zeros(6)
     density = stage.blend(nu, d, s0, s, wanted, temperature, w0, w1, whole, centre, tensor)
-    twin = Twin(grid, (), SimpleNamespace(nu=nu))
     # what the result is, if the blended Gaussian has these moments
     full = np.zeros((3, 3))
     for value, (a, b) in zip(tensor, [(0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)], strict=True):
@@ -91,7 +88,7 @@ def test_blend(points, seed, nu, second, z):
     mixture = density * (full + np.outer(centre, centre))[:d, :d]
     result = (second_of(s, d) + (w0 + w1) * mixture) / whole
     own = [
-        rho * (twin.tensor_of(m, rho, u) + np.outer(u, u))
+        rho * (relaxed(m / rho - np.outer(u, u), nu) + np.outer(u, u))
         for m, rho, u in (
             (second_of(s0, d), s0[0], (s0[1:4] / s0[0])[:d]),
             (result, wanted[0], (wanted[1:4] / wanted[0])[:d]),
@@ -101,6 +98,11 @@ def test_blend(points, seed, nu, second, z):
     assert (w0 + w1) * density == pytest.approx(w0 * s0[0] + w1 * wanted[0], rel=1e-13)
     momentum = w0 * s0[1:4] + w1 * wanted[1:4]
     np.testing.assert_allclose((w0 + w1) * density * centre, momentum, atol=1e-12 * (w0 + w1) * density)
+
+
+def relaxed(theta, nu):
+    """(1 - nu) T I + nu Theta."""
+    return (1.0 - nu) * np.trace(theta) / len(theta) * np.eye(len(theta)) + nu * theta
 
 
 def second_of(sums, d):
@@ -135,90 +137,7 @@ def test_omega_at_a_face_by_hand(profile, sides):
     assert stage.face_omega(True, np.array([profile], dtype=float), 0, 1, 0, 1) == sides
 
 
-# -- whole steps ---------------------------------------------------------------------------------------------
-
-BASE = {"initial": {"state": "uniform"}, "time": {"end": 1.0}, "fluid": {"enabled": False}}
-PLANE = {"space": {"cells": [4, 3], "upper": [1.0, 0.8]}, "velocity": {"points": [9, 8, 8], "half_width": 6.0}}
-LINE = {"space": {"cells": [6]}, "velocity": {"points": [16]}}
-GRANULAR = {"operator": "granular-es-bgk", "knudsen": 0.05, "restitution": 0.7}
-RELAX = {"relaxation": {"coefficient": 2.0, "density_power": 1, "temperature_power": 0.5}}
-GIVEN = {"scaling": {"kind": "macroscopic"}, "fluid": {"enabled": True}}
-STEPS = {
-    "kinetic scaling, granular": ({**BASE, **PLANE, "collision": GRANULAR}, 1e-9),
-    "kinetic scaling, one dimension": ({**BASE, **LINE, "collision": {**GRANULAR, **RELAX}}, 1e-9),
-    "kinetic scaling, no collisions": ({**BASE, **PLANE, "collision": {"operator": "none"}}, 1e-11),
-    "kinetic scaling, kappa": ({**BASE, **PLANE, "collision": GRANULAR, "scheme": {"drift": "kappa"}}, 1e-9),
-    "kinetic scaling, seventh order": (
-        {**BASE, **LINE, "collision": {**GRANULAR, **RELAX}, "scheme": {"drift": "seventh-order"}},
-        1e-9,
-    ),
-    "given scaling, conservative": ({**BASE, **PLANE, **GIVEN, "collision": GRANULAR}, 1e-9),
-    "given scaling, the paper's": (
-        {**BASE, **PLANE, **GIVEN, "collision": GRANULAR, "scheme": {"conservative": False}},
-        1e-11,
-    ),
-    "given scaling, one dimension": (
-        {**BASE, **LINE, **GIVEN, "collision": {**GRANULAR, **RELAX}, "scheme": {"conservative": False}},
-        1e-11,
-    ),
-    "elastic, stiff": ({**BASE, **PLANE, "collision": {"operator": "es-bgk", "knudsen": 1e-4}}, 1e-9),
-}
-
-
-@pytest.mark.parametrize("substeps", [False, True], ids=["drift with transport", "drift in substeps"])
-@pytest.mark.parametrize("name", list(STEPS))
-def test_a_step(name, substeps):
-    """Conservative steps agree to what the correction's last Newton step leaves of the stress, others to round-off."""
-    mapping, tolerance = STEPS[name]
-    job = Job.from_dict(mapping)
-    d, (nx, ny) = job.velocity.dimensions, (*job.space.cells, 1)[:2]
-    rng = np.random.default_rng(7)
-    density = rng.uniform(0.8, 1.2, (ny, nx))
-    velocity = 0.1 * rng.normal(size=(ny, nx, d))
-    stress = np.zeros((ny, nx, d, d))
-    for at in np.ndindex(ny, nx):
-        root = 0.2 * rng.normal(size=(d, d))
-        stress[at] = np.eye(d) * rng.uniform(0.9, 1.1) + 0.3 * (root + root.T)
-    stepper = KineticStepper(job, Domain(job), density, velocity, stress)
-    rescaled = job.scaling.kind == "kinetic"
-    omega_end = None if rescaled else stepper.omega * rng.uniform(0.99, 1.01, (ny, nx))
-    twin = Twin(stepper.velocity_grid, job.space.spacing, stepper.model, ORDERS.get(job.scheme.drift, 0))
-    wy, wx = stepper.space.wy, stepper.space.wx
-    inner = np.s_[wy : wy + ny, wx : wx + nx]
-
-    def unpacked():
-        return stepper.velocity_grid.unpack(stepper.g[inner]).copy()
-
-    stepper.first_stage(0.0)
-    dt = 0.4 / stepper.rate
-    if substeps:
-        stepper.model = stepper.model._replace(courant=0.04)
-    # the second step starts from a g that is no Gaussian any more
-    for _ in range(2):
-        g, omega, carried = unpacked(), stepper.omega.copy(), stepper.now.carried.copy()
-        if omega_end is not None:
-            stepper.set_scaling(omega_end, dt)
-        stepper.first_stage(dt)
-        counts = [substeps_of(stepper, dt)]
-        stepper.second_stage(dt)
-        counts.append(substeps_of(stepper, dt))
-        assert all((count > 1).all() if substeps else (count == 0).all() for count in counts)
-        wanted, wanted_omega, wanted_carried = twin.step(g, omega, carried, dt, omega_end, counts)
-        found = unpacked()
-        assert np.abs(found - g).max() > 1e-3 * g.max()
-        np.testing.assert_allclose(found, wanted, rtol=tolerance, atol=tolerance * g.max())
-        np.testing.assert_allclose(stepper.omega, wanted_omega, rtol=0.03 * tolerance)
-        if job.scheme.conservative:
-            np.testing.assert_allclose(stepper.now.carried, wanted_carried, atol=3e-11)
-        sums = ten_sums(stepper.velocity_grid, found)
-        np.testing.assert_allclose(stepper.now.sums, sums, atol=max(tolerance, 1e-9) * np.abs(sums).max())
-
-
-def substeps_of(stepper, dt):
-    """In how many substeps the last stage took the drift of each cell."""
-    local = stepper._diagnostics
-    rates = (local[..., stage.TRANSPORT], local[..., stage.DRIFT])
-    return np.vectorize(lambda t, a: stage.drift_substeps(dt, t, a, stepper.model.courant), otypes=[int])(*rates)
+# -- the drift by itself -------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("rate", [np.nan, np.inf, 1e300])
@@ -251,7 +170,8 @@ def rates_of_a_gas_at_rest(omega, points, conservative):
     n = omega.size
     job = Job.from_dict(
         {
-            **BASE, **GIVEN, "space": {"cells": [n]}, "velocity": {"points": [points], "half_width": 10.0},
+            "initial": {"state": "uniform"}, "time": {"end": 1.0}, "scaling": {"kind": "macroscopic"},
+            "space": {"cells": [n]}, "velocity": {"points": [points], "half_width": 10.0},
             "collision": {"operator": "none"}, "scheme": {"conservative": conservative},
         }
     )  # fmt: skip

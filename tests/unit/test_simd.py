@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy_twins import half_slope
 
 from rvm_mpi.compiling import simd
 from rvm_mpi.compiling.declare import kernel
 from rvm_mpi.grid.domain import aligned
+from rvm_mpi.reference.state import half_slope
 
 SETTINGS = settings(max_examples=80, deadline=None)
 ROWS = 33
