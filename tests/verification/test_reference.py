@@ -3,8 +3,9 @@
 How near. Both do the same arithmetic in another order, with fused multiply-adds and vector exponentials on one side,
 and their Newton's methods rest at 1e-13 to 2e-13 of the moments wanted. The condition of Newton's matrices, tens to a
 hundred, may make 1e-11 of max g of that; what is found is below 1e-13, and a term that is off by 1e-5 shows. One thing
-is not rounding: where the correction's last step begins from a mismatch below 1e-8 the kernels do not measure the stress
-again, but give each axis the same share of its trace. ES-BGK sees the stress: 1e-9 there, of which 5e-10 is found.
+is not rounding: where the correction's last step begins from a mismatch below 1e-8 the kernels do not measure the
+stress again, but give each axis the same share of its trace. ES-BGK sees the stress: 1e-9 there; 3e-11 is found, and
+8e-10 where nodes can hardly hold the Gaussian.
 """
 
 from dataclasses import dataclass, replace
