@@ -8,6 +8,7 @@ from numpy_twins import SHAPES, corrected, make_grid, nodes, pack, powers, rando
 
 from rvm_mpi.kinetic.conservation import (
     SUMS,
+    Correction,
     about_origin,
     add_correction,
     correct,
@@ -15,7 +16,7 @@ from rvm_mpi.kinetic.conservation import (
     solve,
     weighted_sums,
 )
-from rvm_mpi.step.sweep import Work, kernel_grid
+from rvm_mpi.step.data import kernel_grid
 
 SETTINGS = settings(max_examples=40, deadline=None)
 SEED = st.integers(0, 2**32 - 1)
@@ -36,10 +37,8 @@ def test_weighted_sums(points, seed, signed):
     centre = np.array([*rng.normal(size=d), *np.zeros(3 - d)])
     g, fx, fs = random_g(grid, rng, signed=signed), rng.random(grid.points[0]), rng.random(grid.slab_size)
     sums = np.empty(SUMS)
-    weighted_sums(
-        pack(grid, g), centre, grid.points[0], grid.slab_size, kernel.x, kernel.slab, fx, fs,
-        np.empty(5 * grid.points[0]), sums,
-    )  # fmt: skip
+    work = Correction.ones(kernel)._replace(factor_x=fx, factor_slab=fs)
+    weighted_sums(pack(grid, g), centre, kernel, work, sums)
     factor = fx[:, None, None] * fs[: grid.slab_points].reshape(1, *grid.points[1:])
     x, y, z = (axis - c for axis, c in zip(nodes(grid), centre))
     square = x * x + y * y + z * z
@@ -92,8 +91,9 @@ def test_factor_tables(points, seed):
     kernel, d = kernel_grid(grid), len(points)
     c = np.array([0.3, *(0.2 * rng.normal(size=d)), *np.zeros(3 - d), -0.1 * rng.random()])
     centre = np.array([*rng.normal(size=d), *np.zeros(3 - d)])
-    fx, fs = np.empty(grid.points[0]), np.empty(grid.slab_size)
-    factor_tables(c, centre, grid.points[0], grid.slab_size, kernel.x, kernel.slab, fx, fs)
+    work = Correction.ones(kernel)._replace(coefficients=c, centre=centre)
+    factor_tables(kernel, work)
+    fx, fs = work.factor_x, work.factor_slab
     x = [axis - m for axis, m in zip(nodes(grid), centre)]
     wanted = np.exp(c[0] + sum(c[1 + q] * x[q] + c[4] * x[q] ** 2 for q in range(3)))
     found = fx[:, None, None] * fs[: grid.slab_points].reshape(1, *grid.points[1:])
@@ -103,12 +103,9 @@ def test_factor_tables(points, seed):
 def run_correct(grid, g, target):
     """(what `correct` says, the factor, the sums it reports)."""
     kernel = kernel_grid(grid)
-    work, sums = Work.create(kernel, 1), np.zeros(SUMS)
-    answer = correct(
-        pack(grid, g), target, grid.dimensions, grid.points[0], grid.slab_size, kernel.x, kernel.slab,
-        work.correction, sums,
-    )  # fmt: skip
-    fx, fs = work.correction[:2]
+    work, sums = Correction.ones(kernel), np.zeros(SUMS)
+    answer = correct(pack(grid, g), target, kernel, work, sums)
+    fx, fs = work.factor_x, work.factor_slab
     return answer, fx[:, None, None] * fs[: grid.slab_points].reshape(1, *grid.points[1:]), sums[:10]
 
 
@@ -234,17 +231,14 @@ def test_add_correction(points, seed):
     """A block of any sign gets the moments wanted, by the polynomial times the Gaussian of a linear system."""
     grid, rng = make_grid(points), np.random.default_rng(seed)
     kernel, d = kernel_grid(grid), len(points)
-    work = Work.create(kernel, 1)
+    work = Correction.ones(kernel)
     near, signed = random_g(grid, rng), random_g(grid, rng, signed=True)
     block = near + 0.1 * near.max() * signed / np.abs(signed).max()
     target = five(grid, random_g(grid, rng))
     mean = target[1:4] / target[0]
     assume(2.0 * target[4] > 1.01 * target[0] * (mean**2).sum())
     packed, sums = pack(grid, block), np.empty(SUMS)
-    mismatch = add_correction(
-        packed, pack(grid, near), target, d, grid.points[0], grid.slab_size, kernel.x, kernel.slab, work.correction,
-        sums,
-    )  # fmt: skip
+    mismatch = add_correction(packed, pack(grid, near), target, kernel, work, sums)
     found = grid.unpack(packed)
     c = [axis - m for axis, m in zip(nodes(grid), mean)]
     one = np.ones(grid.points)

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy_twins import SHAPES, drift_rate, laid_out, make_grid, pack, random_g
+from numpy_twins import SHAPES, drift_rate, laid_out, make_grid, make_work, pack, random_g
 
 from rvm_mpi.kinetic import drift
-from rvm_mpi.step.sweep import Work, kernel_grid
+from rvm_mpi.step.data import kernel_grid
 
 SETTINGS = settings(max_examples=60, deadline=None)
 RATE = st.floats(-3.0, 3.0)
@@ -23,10 +23,10 @@ def run(grid, g, before, rate, rates, weights, dt, rng, name="van-leer", work=No
     flat, at = laid_out(grid, np.stack([random_g(grid, rng), g, random_g(grid, rng)]), rng)
     old, _ = laid_out(grid, np.stack([g, before, g]), rng)
     result = pack(grid, rate)
-    work = work or Work.create(kernel, 1)
-    numbers = np.array([*rates, *kernel.per_spacing])
-    update = drift.update if name == "van-leer" else drift.update_linear
-    update(flat, at + grid.block, kernel, numbers, old, *weights, dt, work.scratch, result)
+    work = work or make_work(kernel)
+    turn = drift.Drift(*map(float, rates[:5]), tuple(map(float, rates[5:])))
+    mix = drift.Mix(old, float(weights[0]), float(weights[1]), float(dt))
+    drift.apply(flat, at + grid.block, kernel, turn, mix, work.scratch, result)
     return grid.unpack(result)
 
 
@@ -55,7 +55,7 @@ def test_update(points, seed, signed, name, rates, dt, second, z):
     weights = (0.5, 0.5 * (1.0 + z)) if second else (0.0, 1.0)
     found = run(grid, g, before, rate, rates, weights, dt, rng, name)
     a = rates[0], rates[1:5].reshape(2, 2), rates[5:]
-    total = rate + drift_rate(grid, g, *a, drift.ORDERS.get(name, 0), name in drift.POSITIVE)
+    total = rate + drift_rate(grid, g, *a, name)
     wanted = weights[0] * before + weights[1] * (g + dt * total)
     size = np.abs(g).max() * (1.0 + 100.0 * dt * sum(map(abs, rates))) + dt * np.abs(rate).max() + np.abs(before).max()
     np.testing.assert_allclose(found, wanted, rtol=1e-13, atol=1e-14 * size * weights[1] * 10)
@@ -98,7 +98,7 @@ def test_positive_up_to_courant_number_one_half(points, name):
 @pytest.mark.parametrize("name", RECONSTRUCTIONS)
 def test_work_space_carries_nothing_from_one_cell_to_the_next(name, points):
     grid, rng = make_grid(points), np.random.default_rng(5)
-    work = Work.create(kernel_grid(grid), 1)
+    work = make_work(kernel_grid(grid))
     g, rates = random_g(grid, rng), (0.5, 0.2, 0.3, -0.3, -0.1, 0.1, 0.2, 0.3)
     alone = run(grid, g, g, g, rates, (0.0, 1.0), 0.1, rng, name)
     run(grid, 1e6 * random_g(grid, rng), g, g, rates, (0.5, 0.5), 0.1, rng, name, work)

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
-from numpy_twins import gaussian, make_grid, nodes, powers, ten_sums
+from numpy_twins import gaussian, make_grid, make_work, nodes, powers, ten_sums
 
 from rvm_mpi.collisions import es_bgk
-from rvm_mpi.step.sweep import Work, kernel_grid
+from rvm_mpi.step.data import kernel_grid
 
 SETTINGS = settings(max_examples=40, deadline=None)
 SEED = st.integers(0, 2**32 - 1)
@@ -54,12 +54,12 @@ def least(grid, mean, axis):
 def run_gaussian(grid, density, mean, tensor):
     """(status, the grid function, the tensor as it was left, the sums that were reported)."""
     kernel = kernel_grid(grid)
-    work = Work.create(kernel, 1)
+    work = make_work(kernel)
     six, moments = packed(tensor), np.zeros(10)
-    work.gaussian[:] = 7.0
+    work.gaussian.block[:] = 7.0
     mean = np.asarray(mean, dtype=float)
-    status = es_bgk.discrete_gaussian(density, mean, six, kernel, work.fit, work.gaussian, moments)
-    return status, grid.unpack(work.gaussian), six, moments
+    status = es_bgk.discrete_gaussian(density, mean, six, kernel, work.fit, work.gaussian.block, moments)
+    return status, grid.unpack(work.gaussian.block), six, moments
 
 
 def assert_has_moments(grid, g, density, mean, tensor, tolerance=1e-11):
@@ -168,7 +168,7 @@ def test_smallest_variance_and_the_realisable_tensor(points, seed):
         assert es_bgk.smallest_variance(kernel.nodes[q], grid.points[q], mean[q]) == pytest.approx(floors[q], abs=1e-13)
     tensor = random_tensor(rng, d, 0.05, 1.5)
     six = packed(tensor)
-    status = es_bgk.realisable_tensor(1.0, mean, six, d, grid.points, kernel.nodes)
+    status = es_bgk.realisable_tensor(mean, six, kernel)
     raised = floors + es_bgk.ROOM * np.array(grid.spacing[:d]) ** 2
     if np.all(np.diag(tensor) >= raised):
         assert status == es_bgk.EXACT
@@ -210,9 +210,7 @@ def test_gaussian_sums(points, seed):
     block = np.zeros(grid.block)
     grid.unpack(block)[...] = g
     sums = np.zeros(75)
-    es_bgk.gaussian_sums(
-        centre, grid.points[0], grid.slab_size, kernel.x, kernel.slab, block, sums, Work.create(kernel, 1).fit[2]
-    )
+    es_bgk.gaussian_sums(centre, kernel, block, sums, make_work(kernel).fit.plane)
     p = powers(grid, centre)
     wanted = np.einsum("ijk,pijk,qijk->pq", g, p, p)
     scale = np.einsum("ijk,pijk,qijk->pq", g, np.abs(p), np.abs(p))
@@ -224,7 +222,7 @@ def test_gaussian_moments():
     kernel = kernel_grid(grid)
     theta = np.array([0.2, *(0.1 * rng.normal(size=3)), -0.3, 0.05, -0.04, -0.2, 0.03, -0.4])
     centre, block, moments = np.array([0.3, -0.2, 0.1]), np.zeros(grid.block), np.zeros(10)
-    es_bgk.gaussian_moments(theta, centre, grid.points[0], grid.slab_size, kernel.x, kernel.slab, block, moments)
+    es_bgk.gaussian_moments(theta, centre, kernel, block, moments)
     wanted = np.exp(np.einsum("p,pijk->ijk", theta, powers(grid, centre)))
     np.testing.assert_allclose(grid.unpack(block), wanted, rtol=1e-12)
     np.testing.assert_allclose(moments, ten_sums(grid, wanted, centre), rtol=1e-11, atol=1e-12 * wanted.sum())

@@ -6,10 +6,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy_twins import SHAPES, make_grid, nodes, pack, random_g, ten_sums
 
-from rvm_mpi.grid.velocity import LEAST
 from rvm_mpi.grid import velocity
+from rvm_mpi.grid.velocity import LEAST
 from rvm_mpi.kinetic.moments import fields, sums_about
-from rvm_mpi.step.sweep import Space, kernel_grid
+from rvm_mpi.step.data import Space, kernel_grid
 
 SETTINGS = settings(max_examples=40, deadline=None)
 

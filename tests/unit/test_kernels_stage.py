@@ -1,19 +1,22 @@
-"""What a stage is made of, and both stages as a whole, against plain NumPy."""
+"""What a stage is made of, against plain NumPy; whole steps are in tests/verification/test_reference.py."""
 
 import math
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy_twins import SHAPES, Twin, both_sides, gaussian, make_grid, nodes, pack, random_g, ten_sums
+from numpy_twins import SHAPES, both_sides, gaussian, make_grid, make_work, nodes, pack, random_g, ten_sums
 
 from rvm_mpi.grid.domain import Domain
 from rvm_mpi.job.job import Job
-from rvm_mpi.kinetic.drift import ORDERS
-from rvm_mpi.step import sweep as stage
+from rvm_mpi.kinetic.drift import Drift, Mix
+from rvm_mpi.step import carried, explicit, scaling
+from rvm_mpi.step.data import Space, here, kernel_grid
+from rvm_mpi.step.relaxation import blend
 from rvm_mpi.step.stepper import KineticStepper
+from rvm_mpi.step.sweep import mix
+from rvm_mpi.time_limits import FITS
 
 SETTINGS = settings(max_examples=40, deadline=None)
 SEED = st.integers(0, 2**32 - 1)
@@ -26,27 +29,26 @@ SEED = st.integers(0, 2**32 - 1)
 )  # fmt: skip
 def test_haff(thermal, density, d, cooling, dt):
     """1/sqrt(T) grows linearly at the rate cooling rho, and time runs backwards too."""
-    after = stage.cooled(thermal, density, d, cooling, dt)
+    after = carried.cooled(thermal, density, d, cooling, dt)
     before, now = (1.0 / np.sqrt(2.0 * e / (d * density)) for e in (thermal, after))
     assert now == pytest.approx(before + cooling * density * dt, rel=1e-13)
-    assert stage.cooled(after, density, d, cooling, -dt) == pytest.approx(thermal, rel=1e-10 * (now / before) ** 2)
+    assert carried.cooled(after, density, d, cooling, -dt) == pytest.approx(thermal, rel=1e-10 * (now / before) ** 2)
 
 
 @SETTINGS
 @given(points=st.sampled_from(SHAPES), seed=SEED, share=st.sampled_from([0.0, 0.3, 1.0]))
 def test_mix(points, seed, share):
     grid, rng = make_grid(points), np.random.default_rng(seed)
-    kernel = stage.kernel_grid(grid)
+    kernel = kernel_grid(grid)
     block, gaussian = random_g(grid, rng, signed=True), random_g(grid, rng)
     fx, fs = rng.random(grid.points[0]), rng.random(grid.slab_size)
-    out, extremes = rng.normal(size=3 * grid.block), np.zeros(16)
+    out, work = rng.normal(size=3 * grid.block), make_work(kernel)
     before = out.copy()
     dirty = pack(grid, block)
     dirty.reshape(-1, grid.slab_size)[:, grid.slab_points :] = 1e9  # whatever the padding holds
-    stage.mix(
-        dirty, fx, fs, 0.7, pack(grid, gaussian), share, grid.points[0], grid.slab_size, kernel.x, kernel.slab, out,
-        grid.block, True, extremes,
-    )  # fmt: skip
+    work.result[:], work.gaussian.block[:] = dirty, pack(grid, gaussian)
+    work.correction.factor_x[:], work.correction.factor_slab[:] = fx, fs
+    extremes = mix(kernel, work, 0.7, share, out, grid.block, True)
     factor = fx[:, None, None] * fs[: grid.slab_points].reshape(1, *grid.points[1:])
     wanted = 0.7 * block * factor + share * gaussian
     found = out[grid.block : 2 * grid.block]
@@ -81,9 +83,9 @@ def test_blend(points, seed, nu, second, z):
     energy = 0.5 * ((s + w0 * s0)[[4, 7, 9]]).sum() / (whole - w1)
     wanted = np.array([*wanted, energy])
     temperature = (2.0 * energy / wanted[0] - (wanted[1:4] ** 2).sum() / wanted[0] ** 2) / d
-    centre, tensor = np.zeros(3), np.zeros(6)
-    density = stage.blend(nu, d, s0, s, wanted, temperature, w0, w1, whole, centre, tensor)
-    twin = Twin(grid, (), SimpleNamespace(nu=nu))
+    mixed = make_work(kernel_grid(grid)).gaussian
+    density = blend(nu, d, s0, s, (w0, w1, whole), wanted, temperature, mixed)
+    centre, tensor = mixed.mean, mixed.tensor
     # what the result is, if the blended Gaussian has these moments
     full = np.zeros((3, 3))
     for value, (a, b) in zip(tensor, [(0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)], strict=True):
@@ -91,7 +93,7 @@ def test_blend(points, seed, nu, second, z):
     mixture = density * (full + np.outer(centre, centre))[:d, :d]
     result = (second_of(s, d) + (w0 + w1) * mixture) / whole
     own = [
-        rho * (twin.tensor_of(m, rho, u) + np.outer(u, u))
+        rho * (relaxed(m / rho - np.outer(u, u), nu) + np.outer(u, u))
         for m, rho, u in (
             (second_of(s0, d), s0[0], (s0[1:4] / s0[0])[:d]),
             (result, wanted[0], (wanted[1:4] / wanted[0])[:d]),
@@ -101,6 +103,11 @@ def test_blend(points, seed, nu, second, z):
     assert (w0 + w1) * density == pytest.approx(w0 * s0[0] + w1 * wanted[0], rel=1e-13)
     momentum = w0 * s0[1:4] + w1 * wanted[1:4]
     np.testing.assert_allclose((w0 + w1) * density * centre, momentum, atol=1e-12 * (w0 + w1) * density)
+
+
+def relaxed(theta, nu):
+    """(1 - nu) T I + nu Theta."""
+    return (1.0 - nu) * np.trace(theta) / len(theta) * np.eye(len(theta)) + nu * theta
 
 
 def second_of(sums, d):
@@ -117,12 +124,12 @@ def test_omega_at_a_face(values):
     row = np.random.default_rng(0).uniform(0.5, 2.0, (4, 4))
     along_x, along_y = row.copy(), row.copy()
     along_x[2], along_y[:, 2] = values, values
-    found = stage.face_omega(True, along_x, 2, 1, 0, 1)
+    found = scaling.face_omega(True, along_x, 2, 1, 0, 1)
     np.testing.assert_allclose(found, both_sides(*np.array(values)), rtol=1e-14)
-    assert stage.face_omega(True, along_y, 1, 2, 1, 0) == found
-    assert stage.face_omega(True, along_x[:, ::-1].copy(), 2, 1, 0, 1) == found[::-1]
+    assert scaling.face_omega(True, along_y, 1, 2, 1, 0) == found
+    assert scaling.face_omega(True, along_x[:, ::-1].copy(), 2, 1, 0, 1) == found[::-1]
     a, b, c, e = values
-    assert stage.face_omega(False, along_x, 2, 1, 0, 1) == (0.5 * (b + c), 0.5 * (b + c))
+    assert scaling.face_omega(False, along_x, 2, 1, 0, 1) == (0.5 * (b + c), 0.5 * (b + c))
     assert min(a, b, c) <= found[0] <= max(a, b, c) and min(b, c, e) <= found[1] <= max(b, c, e)
 
 
@@ -132,106 +139,23 @@ def test_omega_at_a_face(values):
 )
 def test_omega_at_a_face_by_hand(profile, sides):
     """Linear: the mean. A jump or an odd-even pattern: what each cell has."""
-    assert stage.face_omega(True, np.array([profile], dtype=float), 0, 1, 0, 1) == sides
+    assert scaling.face_omega(True, np.array([profile], dtype=float), 0, 1, 0, 1) == sides
 
 
-# -- whole steps ---------------------------------------------------------------------------------------------
-
-BASE = {"initial": {"state": "uniform"}, "time": {"end": 1.0}, "fluid": {"enabled": False}}
-PLANE = {"space": {"cells": [4, 3], "upper": [1.0, 0.8]}, "velocity": {"points": [9, 8, 8], "half_width": 6.0}}
-LINE = {"space": {"cells": [6]}, "velocity": {"points": [16]}}
-GRANULAR = {"operator": "granular-es-bgk", "knudsen": 0.05, "restitution": 0.7}
-RELAX = {"relaxation": {"coefficient": 2.0, "density_power": 1, "temperature_power": 0.5}}
-GIVEN = {"scaling": {"kind": "macroscopic"}, "fluid": {"enabled": True}}
-STEPS = {
-    "kinetic scaling, granular": ({**BASE, **PLANE, "collision": GRANULAR}, 1e-9),
-    "kinetic scaling, one dimension": ({**BASE, **LINE, "collision": {**GRANULAR, **RELAX}}, 1e-9),
-    "kinetic scaling, no collisions": ({**BASE, **PLANE, "collision": {"operator": "none"}}, 1e-11),
-    "kinetic scaling, kappa": ({**BASE, **PLANE, "collision": GRANULAR, "scheme": {"drift": "kappa"}}, 1e-9),
-    "kinetic scaling, seventh order": (
-        {**BASE, **LINE, "collision": {**GRANULAR, **RELAX}, "scheme": {"drift": "seventh-order"}},
-        1e-9,
-    ),
-    "given scaling, conservative": ({**BASE, **PLANE, **GIVEN, "collision": GRANULAR}, 1e-9),
-    "given scaling, the paper's": (
-        {**BASE, **PLANE, **GIVEN, "collision": GRANULAR, "scheme": {"conservative": False}},
-        1e-11,
-    ),
-    "given scaling, one dimension": (
-        {**BASE, **LINE, **GIVEN, "collision": {**GRANULAR, **RELAX}, "scheme": {"conservative": False}},
-        1e-11,
-    ),
-    "elastic, stiff": ({**BASE, **PLANE, "collision": {"operator": "es-bgk", "knudsen": 1e-4}}, 1e-9),
-}
-
-
-@pytest.mark.parametrize("substeps", [False, True], ids=["drift with transport", "drift in substeps"])
-@pytest.mark.parametrize("name", list(STEPS))
-def test_a_step(name, substeps):
-    """Conservative steps agree to what the correction's last Newton step leaves of the stress, others to round-off."""
-    mapping, tolerance = STEPS[name]
-    job = Job.from_dict(mapping)
-    d, (nx, ny) = job.velocity.dimensions, (*job.space.cells, 1)[:2]
-    rng = np.random.default_rng(7)
-    density = rng.uniform(0.8, 1.2, (ny, nx))
-    velocity = 0.1 * rng.normal(size=(ny, nx, d))
-    stress = np.zeros((ny, nx, d, d))
-    for at in np.ndindex(ny, nx):
-        root = 0.2 * rng.normal(size=(d, d))
-        stress[at] = np.eye(d) * rng.uniform(0.9, 1.1) + 0.3 * (root + root.T)
-    stepper = KineticStepper(job, Domain(job), density, velocity, stress)
-    rescaled = job.scaling.kind == "kinetic"
-    omega_end = None if rescaled else stepper.omega * rng.uniform(0.99, 1.01, (ny, nx))
-    twin = Twin(stepper.velocity_grid, job.space.spacing, stepper.model, ORDERS.get(job.scheme.drift, 0))
-    wy, wx = stepper.space.wy, stepper.space.wx
-    inner = np.s_[wy : wy + ny, wx : wx + nx]
-
-    def unpacked():
-        return stepper.velocity_grid.unpack(stepper.g[inner]).copy()
-
-    stepper.first_stage(0.0)
-    dt = 0.4 / stepper.rate
-    if substeps:
-        stepper.model = stepper.model._replace(courant=0.04)
-    # the second step starts from a g that is no Gaussian any more
-    for _ in range(2):
-        g, omega, carried = unpacked(), stepper.omega.copy(), stepper.now.carried.copy()
-        if omega_end is not None:
-            stepper.set_scaling(omega_end, dt)
-        stepper.first_stage(dt)
-        counts = [substeps_of(stepper, dt)]
-        stepper.later_stages(dt)
-        counts.append(substeps_of(stepper, dt))
-        assert all((count > 1).all() if substeps else (count == 0).all() for count in counts)
-        wanted, wanted_omega, wanted_carried = twin.step(g, omega, carried, dt, omega_end, counts)
-        found = unpacked()
-        assert np.abs(found - g).max() > 1e-3 * g.max()
-        np.testing.assert_allclose(found, wanted, rtol=tolerance, atol=tolerance * g.max())
-        np.testing.assert_allclose(stepper.omega, wanted_omega, rtol=0.03 * tolerance)
-        if job.scheme.conservative:
-            np.testing.assert_allclose(stepper.now.carried, wanted_carried, atol=3e-11)
-        sums = ten_sums(stepper.velocity_grid, found)
-        np.testing.assert_allclose(stepper.now.sums, sums, atol=max(tolerance, 1e-9) * np.abs(sums).max())
-
-
-def substeps_of(stepper, dt):
-    """In how many substeps the last stage took the drift of each cell."""
-    local = stepper._diagnostics
-    rates = (local[..., stage.TRANSPORT], local[..., stage.DRIFT])
-    return np.vectorize(lambda t, a: stage.drift_substeps(dt, t, a, stepper.model.courant), otypes=[int])(*rates)
+# -- the drift by itself -------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("rate", [np.nan, np.inf, 1e300])
 def test_a_rate_that_is_no_number_is_one_piece(rate):
-    assert stage.drift_substeps(0.1, 1.0, rate, 0.5) == 1
+    assert explicit.drift_substeps(0.1, 1.0, rate, 0.5) == 1
 
 
 @SETTINGS
 @given(crossing=st.floats(0.0, 10.0), drifting=st.floats(0.0, 1e3), dt=st.floats(0.0, 1.0))
 def test_substeps_of_the_drift(crossing, drifting, dt):
     """None where both fit into one step, else so many that each of them does, and not one more."""
-    substeps = stage.drift_substeps(dt, crossing, drifting, 0.5)
-    most = 0.5 * stage.FITS
+    substeps = explicit.drift_substeps(dt, crossing, drifting, 0.5)
+    most = 0.5 * FITS
     if dt * (crossing + drifting) < 0.999999 * most:
         assert substeps == 0
     elif dt * (crossing + drifting) > 1.000001 * most:
@@ -251,7 +175,8 @@ def rates_of_a_gas_at_rest(omega, points, conservative):
     n = omega.size
     job = Job.from_dict(
         {
-            **BASE, **GIVEN, "space": {"cells": [n]}, "velocity": {"points": [points], "half_width": 10.0},
+            "initial": {"state": "uniform"}, "time": {"end": 1.0}, "scaling": {"kind": "macroscopic"},
+            "space": {"cells": [n]}, "velocity": {"points": [points], "half_width": 10.0},
             "collision": {"operator": "none"}, "scheme": {"conservative": conservative},
         }
     )  # fmt: skip
@@ -267,10 +192,10 @@ def rates_of_a_gas_at_rest(omega, points, conservative):
     stepper.first_stage(0.0)
     dt = 0.4 / stepper.rate
     stepper.first_stage(dt)
-    sums = grid.weight * stepper._middle.sums[0]
+    sums = grid.weight * stepper.last.new.sums[0]
     state = np.stack([sums[:, 0], omega * sums[:, 1], 0.5 * omega**2 * sums[:, 4]], axis=-1)
     if conservative:
-        np.testing.assert_allclose(stepper._middle.carried[0][:, [0, 1, 4]], state, rtol=1e-13, atol=1e-13)
+        np.testing.assert_allclose(stepper.last.new.carried[0][:, [0, 1, 4]], state, rtol=1e-13, atol=1e-13)
     return np.abs(state - [1.0, 0.0, 0.5]).max(axis=0) / (dt * n)
 
 
@@ -316,14 +241,13 @@ def test_any_omega_hardly_moves_a_gas_at_rest():
 def test_substeps_lose_no_mass():
     """Weights of the last substep that are one together; 1/3 and 2/3, each rounded, lose 5.5e-17 each time."""
     grid = make_grid((8, 8, 8))
-    kernel = stage.kernel_grid(grid)
-    work = stage.Work.create(kernel, 1)
+    kernel = kernel_grid(grid)
+    work, cell = make_work(kernel), here.py_func(kernel, Space(0, 1, 1, 0, 0, 0.0, 0.0), 0, 0)
     g = random_g(grid, np.random.default_rng(5)).reshape(-1)
-    before, rates = math.fsum(g), np.zeros(11)
-    rates[8:] = kernel.per_spacing
+    before = math.fsum(g)
     for n in range(400):
-        rates[0] = 0.2 * (-1) ** n
+        turn = Drift(0.2 * (-1) ** n, 0.0, 0.0, 0.0, 0.0, (0.0, 0.0, 0.0))
         work.result[:] = 0.0
-        stage.take_substeps(g, g, 0, kernel, rates, False, 1.0, 0.0, 0.1, 2, work)
+        explicit.take_substeps(g, cell, kernel, turn, Mix(g, 0.0, 1.0, 0.1), 0.0, 2, work)
         g[:] = work.result
     assert abs(math.fsum(g) / before - 1.0) < 400 * 5.5e-17 / 4

@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy_twins import SHAPES, laid_out, make_grid, nodes, random_g, signed, upwinded
 
-from rvm_mpi.kinetic.transport import PIECE, upper_fluxes
-from rvm_mpi.step.sweep import kernel_grid
+from rvm_mpi.kinetic.transport import PIECE, UpperFaces, upper_fluxes
+from rvm_mpi.step.data import kernel_grid
 
 SETTINGS = settings(max_examples=40, deadline=None)
 OMEGA = st.floats(1e-3, 10.0)
@@ -47,10 +47,9 @@ def run_upper(grid, cells, rng, omegas, per_dx, per_dy, west, south, two):
     row = 4 * grid.block
     cell = at + grid.block + (row if two else 0)
     change, mx, my = np.empty(grid.block), np.empty(5), np.empty(5)
-    upper_fluxes(
-        flat, cell, grid.block, row if two else 0, grid.points[0], grid.slab_size, kernel.below, kernel.x,
-        kernel.slab, omegas, per_dx, per_dy, west, south, grid.block, np.empty(2 * PIECE), change, mx, my,
-    )  # fmt: skip
+    upper = UpperFaces(grid.block, row if two else 0, float(per_dx), float(per_dy), tuple(map(float, omegas)))
+    lower = (west, south, grid.block, np.empty(2 * PIECE))
+    upper_fluxes(flat, cell, kernel, upper, lower, change, mx, my)
     return change, mx, my
 
 

@@ -8,7 +8,7 @@ from numpy_twins import five_sums, gaussian, make_grid, nodes, pack, random_g, t
 from scipy.integrate import quad
 
 from rvm_mpi.kinetic import walls
-from rvm_mpi.step.sweep import kernel_grid
+from rvm_mpi.step.data import kernel_grid
 
 SETTINGS = settings(max_examples=40, deadline=None)
 GRIDS = [(8,), (7,), (8, 6), (6, 6, 8), (9, 7, 5)]
@@ -77,7 +77,7 @@ class Side:
         )
         walls.fill_side(
             flat, there, self.states, self.omega, self.sums(), kernel_grid(grid),
-            np.zeros((5, grid.nodes.shape[1])), np.zeros(5), self.beyond,
+            np.zeros((6, grid.nodes.shape[1])), self.beyond,
         )  # fmt: skip
         after = grid.unpack(flat.reshape(7, 7, block))
         changed = np.any(after != self.before, axis=(2, 3, 4))

@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy_twins import half_slope
 
 from rvm_mpi.compiling import simd
 from rvm_mpi.compiling.declare import kernel
 from rvm_mpi.grid.domain import aligned
+from rvm_mpi.grid.velocity import LEAST
+from rvm_mpi.kinetic import limiter
+from rvm_mpi.reference.state import half_slope
 
 SETTINGS = settings(max_examples=80, deadline=None)
 ROWS = 33
@@ -29,10 +31,10 @@ def operate(a, b, c, d, e, f, out, number):
     simd.store(out, 40, va * number)
     simd.store(out, 48, simd.minimum(va, vb))
     simd.store(out, 56, simd.maximum(va, vb))
-    simd.store(out, 64, simd.van_leer(va, vb))
+    simd.store(out, 64, limiter.van_leer(va, vb))
     simd.store(out, 72, simd.shifted(va, vb))
-    least = simd.splat(simd.LEAST)
-    one, two, three = simd.van_leer3(va, vb, least, vc, vd, least, ve, vf, least)
+    least = simd.splat(LEAST)
+    one, two, three = limiter.van_leer3(va, vb, least, vc, vd, least, ve, vf, least)
     simd.store(out, 88, one)
     simd.store(out, 96, two)
     simd.store(out, 104, three)
@@ -47,8 +49,8 @@ def operate(a, b, c, d, e, f, out, number):
     simd.store(out, 160, odd)
     simd.store(out, 168, low)
     simd.store(out, 176, high)
-    simd.store(out, 184, simd.van_leer_newton(va, vb))
-    one, two, three = simd.van_leer3(va, vb, least, vc, vd, simd.splat(number), ve, vf, simd.splat(math.inf))
+    simd.store(out, 184, limiter.van_leer_newton(va, vb))
+    one, two, three = limiter.van_leer3(va, vb, least, vc, vd, simd.splat(number), ve, vf, simd.splat(math.inf))
     simd.store(out, 192, two)
     simd.store(out, 200, three)
     simd.store(out, 208, simd.spread(a, 3))

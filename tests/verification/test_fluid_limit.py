@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from rvm_mpi import Job, Simulation
-from rvm_mpi.step.sweep import DEEPEST
+from rvm_mpi.step.relaxation import DEEPEST
 
 SMALL = (1e-14, 1e-20, 1e-100, 1e-300)
 

@@ -1,0 +1,96 @@
+"""div_xi(a g): the total drift in velocity space, of the scaling and of the drag."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from rvm_mpi.reference.state import Array, Problem, half_slope, nodewise
+
+#: linear fluxes through a face, of order 3 and 7: weights of the nodes around it
+CENTRAL = {
+    "kappa": np.array([-1, 7, 7, -1]) / 12,
+    "seventh-order": np.array([-3, 29, -139, 533, 533, -139, 29, -3]) / 840,
+    "seventh-order-positive": np.array([-3, 29, -139, 533, 533, -139, 29, -3]) / 840,
+}
+
+
+class Turning(NamedTuple):
+    """What makes a = -(A + xi_x . grad omega) xi + push.
+
+    A (ny, nx): d_t omega/omega and the drag's rate beta; gradient (d_x, 2, ny, nx): of omega along each direction, for
+    xi > 0 and xi < 0 there; push (ny, nx, 3): beta u/omega.
+    """
+
+    A: Array
+    gradient: Array
+    push: Array
+
+    def speed(self, q: int, at: list[Array]) -> Array:
+        """a along q, (ny, nx, px, py, pz), at velocities (px, 1, 1), (1, py, 1), (1, 1, pz)."""
+        rate = nodewise(self.A)
+        for s, (up, down) in enumerate(self.gradient):
+            rate = rate + np.where(at[s] > 0.0, nodewise(up), nodewise(down)) * at[s]
+        one = np.ones(np.broadcast_shapes(*(x.shape for x in at)))
+        return (nodewise(self.push[..., q]) - rate * at[q]) * one
+
+    def most(self, p: Problem) -> Array:
+        """The most |A + xi_x . grad omega| in the box."""
+        return np.abs(self.A) + sum(np.abs(w).max(axis=0) * p.V[s] for s, w in enumerate(self.gradient))
+
+    def fastest(self, p: Problem, q: int) -> Array:
+        """max|a|/h along q."""
+        return (self.most(p) * p.V[q] + np.abs(self.push[..., q])) / p.h[q]
+
+
+def drift(p: Problem, g: Array, turning: Turning) -> Array:
+    """-div_xi(a g) in finite volumes; nothing passes the edge of the box."""
+    rate = np.zeros(g.shape)
+    for q in range(p.d):
+        face, x = list(p.xi), p.xi[q].ravel()
+        face[q] = np.reshape(0.5 * (x[:-1] + x[1:]), [-1 if s == q else 1 for s in range(3)])
+        a, nodes = (np.moveaxis(turning.speed(q, at), q - 3, -1) for at in (face, p.xi))
+        values = np.moveaxis(g, q - 3, -1)
+        if p.job.scheme.drift == "van-leer":
+            through = limited_flux(a, values)
+        else:
+            through = linear_flux(CENTRAL[p.job.scheme.drift], a, nodes * values, values)
+        if p.job.scheme.drift == "seventh-order-positive":
+            fastest, most = (nodewise(p.h[q] * r) for r in (turning.fastest(p, q), turning.most(p)))
+            through = bounded(through, a, values, fastest, most)
+        rate -= np.moveaxis(np.diff(beside(through, 1)), -1, q - 3) / p.h[q]
+    return rate
+
+
+def beside(values: Array, count: int) -> Array:
+    """Values with zeros before and after them, along the last axis."""
+    return np.pad(values, [(0, 0)] * (values.ndim - 1) + [(count, count)])
+
+
+def limited_flux(a: Array, g: Array) -> Array:
+    """a times g upwind with Van Leer's slope, none in the outermost nodes."""
+    step = np.diff(g)
+    bend = beside(half_slope(step[..., :-1], step[..., 1:]), 1)
+    return a * np.where(a > 0.0, g[..., :-1] + bend[..., :-1], g[..., 1:] - bend[..., 1:])
+
+
+def linear_flux(c: Array, a: Array, ag: Array, g: Array) -> Array:
+    """sum of c_t (a g)_t over the nodes, - |a| times the difference that takes the node farthest downwind out."""
+    ag, g = beside(ag, len(c) // 2 - 1), beside(g, len(c) // 2 - 1)
+    central = sum(weight * ag[..., t : t + a.shape[-1]] for t, weight in enumerate(c))
+    return central - c[-1] * np.abs(a) * np.diff(g, len(c) - 1)
+
+
+def bounded(flux: Array, a: Array, g: Array, fastest: Array, spread: Array) -> Array:
+    """The flux, cut to what the nodes on both sides may lose: fastest = max|a|, spread = h r of docs/method.md.
+
+    2 max|a| g in each direction: 2 max|a| - h r with a, h r against it, half of it either way where |a| < 2 h r.
+    """
+
+    def share(along: Array) -> Array:
+        ahead = np.where(along > 2.0 * spread, 2.0 * fastest - spread, fastest)
+        return np.where(along > 0.0, ahead, spread)
+
+    held = np.maximum(g, 0.0)
+    return np.clip(flux, -share(-a) * held[..., 1:], share(a) * held[..., :-1])
