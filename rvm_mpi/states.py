@@ -244,7 +244,7 @@ def from_run(state: Any, block: Block) -> Fields:
 def _snapshot(state: Any, job: Job) -> Fields:
     """Density (ny, nx), velocity (ny, nx, d), temperature (ny, nx) of a run on this job's whole grid."""
     from rvm_mpi.job.checks import check_source
-    from rvm_mpi.output.results import open_run
+    from rvm_mpi.results import open_run
 
     where = f'initial.run "{state.run}"'
     check_source(job, job.name)

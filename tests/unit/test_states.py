@@ -219,7 +219,7 @@ def run(tmp_path, monkeypatch):
         },
         {"time": [0.0, 0.5], "x": (np.arange(12) + 0.5) / 12, "y": (np.arange(10) + 0.5) / 10},
     )
-    from rvm_mpi.output import results
+    from rvm_mpi import results
 
     monkeypatch.setattr(results, "open_run", lambda path: dataset)
     return str(tmp_path), (density, velocity, stress)
