@@ -250,8 +250,8 @@ For users who read or plot the history of a run. `python -m rvm_mpi.diagnostics`
 
 One row for each time step, the first for the state at the start. Numbers read back as the same floats. Integrals are
 over the domain; units are those of the job (`units.md`). Nothing here depends on the number of ranks or on how fast the
-machine is: timings are in `run.log`. A column with {axis} or {side} is one for each velocity direction, or for each side
-that is not periodic, such as `entered_momentum_x_y-lower`.
+machine is: timings are in `run.log`. A column with {axis} or {side} is one for each velocity direction, or for each
+side that is not periodic, such as `entered_momentum_x_y-lower`.
 """
 
 

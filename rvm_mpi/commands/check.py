@@ -15,6 +15,7 @@ from rvm_mpi.run.launch import launched
 
 if TYPE_CHECKING:
     from rvm_mpi.job.job import Job
+    from rvm_mpi.job.section import Section
 
 
 def add(commands: Any) -> None:
@@ -31,8 +32,6 @@ def add(commands: Any) -> None:
 
 def check(options: argparse.Namespace) -> int:
     """Print what a job comes to; 0 if it can run."""
-    from rvm_mpi.states import describe_states
-
     if not options.states and options.job is None:
         raise JobError("check: give a job file, or --states (see rvm check --help)")
     lines: list[str] = []
@@ -56,7 +55,7 @@ def check(options: argparse.Namespace) -> int:
 
 def _starts(job: Job, options: argparse.Namespace) -> bool:
     """Whether the run that a job's state comes from is there; JobError if not, but for a job that has started."""
-    from rvm_mpi.job.checks import check_source
+    from rvm_mpi.job.check_initial import check_source
     from rvm_mpi.output import rundir
 
     try:
@@ -210,3 +209,37 @@ def _watch_lines(job: Job) -> Iterator[str]:
     kept = ", ".join(name.removesuffix("_error") for name in promised(job))
     yield _row("watched", f"outermost velocities: a warning above {watch.box_warning:g} of a cell's gas, {stop}")
     yield _row("  balances", f"{kept}: a warning above {watch.balance:g}, relative")
+
+
+# --- the initial states
+
+
+def describe_states() -> Iterator[str]:
+    """Lines that list every state with its keys, what is allowed and the defaults."""
+    from rvm_mpi.job.initial import INITIAL_STATES
+
+    for name, model in INITIAL_STATES.items():
+        yield f"{name}: {_first_line(model)}"
+        for key, field in model.model_fields.items():
+            if key != "state":
+                yield f"    {key}: {field.description} [{_default(name, key, field)}]"
+
+
+def _first_line(model: type[Section]) -> str:
+    return (model.__doc__ or "").strip().split("\n")[0]
+
+
+def _default(name: str, key: str, field: Any) -> str:
+    if field.is_required():
+        return "must be given"
+    if field.default is not None:
+        return f"{field.default:.6g}" if isinstance(field.default, float) else str(field.default)
+    return {
+        "temperature": "1, or the mean of the stress tensor's diagonal",
+        "velocity": "0",
+        "velocity_amplitude": "0",
+        "centre": "the middle",
+        "position": "the middle",
+        "mode": "1 along x",
+        "time": "the last",
+    }.get(key, "none")

@@ -17,8 +17,8 @@ from rvm_mpi.job.text import one_line
 from rvm_mpi.output import lock as runlock
 from rvm_mpi.output import rundir
 from rvm_mpi.output.layout import stores_fluid
+from rvm_mpi.output.read import open_run, read_history
 from rvm_mpi.output.rundir import ENDED
-from rvm_mpi.results import open_run, read_history
 from rvm_mpi.run.progress import duration
 
 SHOWN_ATTRIBUTES = (

@@ -36,7 +36,7 @@ def run(options: argparse.Namespace) -> int:
     from rvm_mpi.advice.memory import check_weights
     from rvm_mpi.advice.start import check_start
     from rvm_mpi.grid.domain import partition
-    from rvm_mpi.job.checks import check_source
+    from rvm_mpi.job.check_initial import check_source
     from rvm_mpi.job.job import Job
     from rvm_mpi.output import rundir
 

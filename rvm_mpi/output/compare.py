@@ -17,7 +17,7 @@ from rvm_mpi.output.differences import Columns, Picked, Quantity, compare, sizes
 from rvm_mpi.output.hdf5 import datasets, open_alone
 from rvm_mpi.output.history import HISTORY
 from rvm_mpi.output.layout import AXES, FIELDS
-from rvm_mpi.results import read_history
+from rvm_mpi.output.read import read_history
 
 
 @dataclass(frozen=True)

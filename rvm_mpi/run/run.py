@@ -20,9 +20,9 @@ from rvm_mpi.output import checkpoint, rundir
 from rvm_mpi.output.fields import FieldsFile, check_times
 from rvm_mpi.output.history import History
 from rvm_mpi.output.layout import wall_layout
+from rvm_mpi.output.read import read_history
 from rvm_mpi.output.restart import use_newest
 from rvm_mpi.output.xdmf import Xdmf
-from rvm_mpi.results import read_history
 from rvm_mpi.run import postmortem
 from rvm_mpi.run.claim import Claim
 from rvm_mpi.run.control import Control
