@@ -50,9 +50,10 @@ def of_rank(job: dict) -> None:
 
     from rvm_mpi.advice import memory
     from rvm_mpi.job.job import Job
+    from rvm_mpi.run.claim import Claim
     from rvm_mpi.run.control import Control
-    from rvm_mpi.run.lock import Claim
-    from rvm_mpi.simulation import Run, Simulation
+    from rvm_mpi.run.run import Run
+    from rvm_mpi.simulation import Simulation
 
     comm = MPI.COMM_WORLD
     marks["imports"] = status()["VmHWM"]

@@ -87,9 +87,10 @@ def watched_run(job: dict, log: Log):
     from mpi4py import MPI
 
     from rvm_mpi.job.job import Job
+    from rvm_mpi.run.claim import Claim
     from rvm_mpi.run.control import Control
-    from rvm_mpi.run.lock import Claim
-    from rvm_mpi.simulation import Run, Simulation
+    from rvm_mpi.run.run import Run
+    from rvm_mpi.simulation import Simulation
 
     class Watched(MPI.Intracomm):
         def Allreduce(self, mine, result, op=MPI.SUM):

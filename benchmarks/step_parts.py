@@ -17,12 +17,16 @@ from pathlib import Path
 
 from mpi4py import MPI
 
-from rvm_mpi import simulation
 from rvm_mpi.advice import first_step
 from rvm_mpi.commands.bench import _job
+from rvm_mpi.diagnostics import Diagnostics
 from rvm_mpi.fluid import FluidSystem
 from rvm_mpi.grid.domain import Domain
 from rvm_mpi.job.job import Job
+from rvm_mpi.run.control import Control
+from rvm_mpi.run.run import Run, run_job
+from rvm_mpi.run.watch import Watch
+from rvm_mpi.simulation import Simulation
 from rvm_mpi.step.stepper import KineticStepper
 
 PARTS = {
@@ -31,15 +35,15 @@ PARTS = {
     "walls": [],
     "fluid": [(FluidSystem, "advance"), (FluidSystem, "max_rate"), (FluidSystem, "omega")],
     "reductions": [(Domain, "maximum")],
-    "diagnostics": [(simulation.Diagnostics, "update")],
+    "diagnostics": [(Diagnostics, "update")],
     "history, log, control": [
-        (simulation.Run, "record"),
-        (simulation.Run, "warn"),
-        (simulation.Control, "agree"),
-        (simulation.Watch, "reason_to_stop"),
+        (Run, "record"),
+        (Run, "warn"),
+        (Control, "agree"),
+        (Watch, "reason_to_stop"),
     ],
-    "snapshot": [(simulation.Run, "_write_snapshot")],
-    "checkpoint": [(simulation.Run, "save")],
+    "snapshot": [(Run, "_write_snapshot")],
+    "checkpoint": [(Run, "save")],
 }
 
 
@@ -89,7 +93,7 @@ class Clock:
 
     def watch_steps(self) -> None:
         """Begin a new step with each call of `Simulation.advance`."""
-        advance = simulation.Simulation.advance
+        advance = Simulation.advance
 
         def timed(sim):
             self.turn()
@@ -97,7 +101,7 @@ class Clock:
             self._now = Counter()
             return advance(sim)
 
-        simulation.Simulation.advance = timed
+        Simulation.advance = timed
 
 
 def main() -> None:
@@ -122,7 +126,7 @@ def main() -> None:
     settings["output"]["times"] = [end * k / 10 for k in range(6)]
     comm = MPI.COMM_WORLD
     directory = comm.bcast(tempfile.mkdtemp() if comm.rank == 0 else None)
-    simulation.run_job(Job.from_dict(settings, name=job.name), Path(directory) / "run", quiet=True)
+    run_job(Job.from_dict(settings, name=job.name), Path(directory) / "run", quiet=True)
     report(clock, comm, options.skip)
 
 

@@ -12,7 +12,7 @@ from scipy.interpolate import CubicSpline
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from rvm_mpi.output.results import open_run
+from rvm_mpi.results import open_run
 
 
 def marginal(run, index, v):

@@ -20,8 +20,8 @@ ROOT = Path(__file__).resolve().parents[1]
 if str(ROOT) not in sys.path:  # a checkout works without installing the package
     sys.path.append(str(ROOT))
 
+from rvm_mpi import results  # noqa: E402
 from rvm_mpi.job.job import Job, JobError  # noqa: E402
-from rvm_mpi.output import results  # noqa: E402
 
 if TYPE_CHECKING:
     import xarray

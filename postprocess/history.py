@@ -16,8 +16,8 @@ import common
 import matplotlib.pyplot as plt
 import numpy as np
 
+from rvm_mpi import results
 from rvm_mpi.job.job import Job
-from rvm_mpi.output import results
 
 FEWEST_FOR_A_FIT = 6
 NOUGHT = 1e-17

@@ -18,8 +18,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 from history import haff
 
+from rvm_mpi import results
 from rvm_mpi.job.job import Job
-from rvm_mpi.output import results
 
 PAPER = {0.8: -1.05, 0.85: -1.4, 0.9: -2.05, 0.95: -4.1}
 FLOOR = 5e-5

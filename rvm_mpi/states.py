@@ -7,13 +7,13 @@ asked in.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from rvm_mpi.job.schema import INITIAL_STATES, Bkw, Section, TwoGaussians
+from rvm_mpi.job.initial import Bkw, TwoGaussians
 from rvm_mpi.job.text import JobError
 from rvm_mpi.units import power
 
@@ -243,8 +243,8 @@ def from_run(state: Any, block: Block) -> Fields:
 
 def _snapshot(state: Any, job: Job) -> Fields:
     """Density (ny, nx), velocity (ny, nx, d), temperature (ny, nx) of a run on this job's whole grid."""
-    from rvm_mpi.job.checks import check_source
-    from rvm_mpi.output.results import open_run
+    from rvm_mpi.job.check_initial import check_source
+    from rvm_mpi.output.read import open_run
 
     where = f'initial.run "{state.run}"'
     check_source(job, job.name)
@@ -383,33 +383,3 @@ STATES: dict[str, Callable[[Any, Block], Fields]] = {
     "two-gaussians": two_gaussians,
     "bkw": bkw,
 }
-
-
-def describe_states() -> Iterator[str]:
-    """Lines that list every state with its keys, what is allowed and the defaults."""
-    for name in STATES:
-        model = INITIAL_STATES[name]
-        yield f"{name}: {_first_line(model)}"
-        for key, field in model.model_fields.items():
-            if key != "state":
-                yield f"    {key}: {field.description} [{_default(name, key, field)}]"
-
-
-def _first_line(model: type[Section]) -> str:
-    return (model.__doc__ or "").strip().split("\n")[0]
-
-
-def _default(name: str, key: str, field: Any) -> str:
-    if field.is_required():
-        return "must be given"
-    if field.default is not None:
-        return f"{field.default:.6g}" if isinstance(field.default, float) else str(field.default)
-    return {
-        "temperature": "1, or the mean of the stress tensor's diagonal",
-        "velocity": "0",
-        "velocity_amplitude": "0",
-        "centre": "the middle",
-        "position": "the middle",
-        "mode": "1 along x",
-        "time": "the last",
-    }.get(key, "none")

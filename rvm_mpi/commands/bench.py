@@ -18,7 +18,7 @@ from rvm_mpi.compiling.declare import kernel
 from rvm_mpi.compiling.simd import load, splat, store, total
 from rvm_mpi.grid.domain import aligned
 from rvm_mpi.job.job import Job
-from rvm_mpi.run.terminal import answer
+from rvm_mpi.terminal import answer
 
 #: doubles of each of the triad's three arrays: far more than a core's share of any cache
 TRIAD_SIZE = 16_000_000

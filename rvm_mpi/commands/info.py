@@ -11,12 +11,14 @@ from pathlib import Path
 
 import numpy as np
 
+from rvm_mpi import diagnostics
 from rvm_mpi.job.job import Job, JobError
 from rvm_mpi.job.text import one_line
+from rvm_mpi.output import lock as runlock
 from rvm_mpi.output import rundir
-from rvm_mpi.output.results import stores_fluid
-from rvm_mpi.run import lock as runlock
-from rvm_mpi.run.failures import ENDED
+from rvm_mpi.output.layout import stores_fluid
+from rvm_mpi.output.read import open_run, read_history
+from rvm_mpi.output.rundir import ENDED
 from rvm_mpi.run.progress import duration
 
 SHOWN_ATTRIBUTES = (
@@ -118,8 +120,6 @@ def _job(job: Job) -> str:
 
 
 def _history_lines(path: Path, job: Job | None) -> Iterator[str]:
-    from rvm_mpi.output.results import read_history
-
     try:
         history = read_history(path)
     except (OSError, ValueError, IndexError) as error:
@@ -139,7 +139,7 @@ def _health(history: dict[str, np.ndarray], job: Job | None) -> str:
     """The worst of what the history records."""
     broken = [name for name, values in history.items() if not np.isfinite(values).all()]
     if job is None or not stores_fluid(job):  # its columns are then empty
-        broken = [name for name in broken if not (name.startswith("fluid_") and np.isnan(history[name]).all())]
+        broken = [name for name in broken if not (_of_fluid(name) and np.isnan(history[name]).all())]
     words = [f"not a number in {', '.join(broken)}"] if broken else ["all numbers finite"]
     if "mass_error" in history:
         words.append(f"mass error {np.nanmax(np.abs(history['mass_error'])):.1e}")
@@ -151,9 +151,12 @@ def _health(history: dict[str, np.ndarray], job: Job | None) -> str:
     return "; ".join(words)
 
 
-def _field_lines(path: Path) -> Iterator[str]:
-    from rvm_mpi.output.results import open_run
+def _of_fluid(name: str) -> bool:
+    column = diagnostics.column_named(name)
+    return column is not None and column.fluid
 
+
+def _field_lines(path: Path) -> Iterator[str]:
     try:
         fields = open_run(path)
     except (OSError, KeyError, ValueError) as error:

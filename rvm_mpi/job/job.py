@@ -18,23 +18,9 @@ import tomli_w
 from pydantic import BaseModel, Field, PrivateAttr, ValidationError
 
 from rvm_mpi.job.checks import resolve
-from rvm_mpi.job.schema import (
-    FORMS,
-    INITIAL_STATES,
-    Boundary,
-    Collision,
-    Fluid,
-    Initial,
-    Output,
-    Scaling,
-    Scheme,
-    Section,
-    Space,
-    Text,
-    Time,
-    Velocity,
-    Watch,
-)
+from rvm_mpi.job.initial import INITIAL_STATES, Initial
+from rvm_mpi.job.schema import FORMS, Boundary, Collision, Fluid, Output, Scaling, Scheme, Space, Time, Velocity, Watch
+from rvm_mpi.job.section import Section, Text
 from rvm_mpi.job.text import (
     JobError,
     JobFileError,

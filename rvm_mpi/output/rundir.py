@@ -17,13 +17,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rvm_mpi.job.text import JobError
-from rvm_mpi.run import lock as runlock
-from rvm_mpi.run.failures import ENDED
-from rvm_mpi.run.terminal import tell
+from rvm_mpi.output import hdf5
+from rvm_mpi.output import lock as runlock
+from rvm_mpi.output.disk import free_name
+from rvm_mpi.terminal import tell
 
 if TYPE_CHECKING:
     from rvm_mpi.job.job import Job
 
+ENDED = "ended: "
+"""Beginning of the last line of `run.log`, which says how a run has ended; a killed one has none."""
 MARKS = ("job.toml", "fields.h5", "history.csv", "run.log")
 """Files that tell a run directory; checkpoints do too."""
 MAY_CHANGE = {"title", "time", "output", "watch"}
@@ -160,9 +163,9 @@ def prepare(
         if restart:
             check_restart(path, job)
             if (path / "job.toml").read_text(encoding="utf-8") != job.to_toml():
-                (path / "job.toml").rename(_free(path / "job", ".toml"))
+                (path / "job.toml").rename(free_name(path / "job", ".toml"))
         elif overwrite and path.exists() and holds_run(path):
-            aside = _free(path.with_name(f"{path.name}-old"))
+            aside = free_name(path.with_name(f"{path.name}-old"))
             path.rename(aside)
             path.mkdir(exist_ok=True)
             if lock is not None:
@@ -219,14 +222,6 @@ class Log:
         if self._file is not None:
             self._file.close()
             self._file = None
-
-
-def _free(path: Path, suffix: str = "") -> Path:
-    """The first of NAME-1, NAME-2, ... that does not exist."""
-    number = 1
-    while (candidate := path.with_name(f"{path.name}-{number}{suffix}")).exists():
-        number += 1
-    return candidate
 
 
 def provenance(ranks: int) -> dict[str, str]:
@@ -304,10 +299,8 @@ def _petsc() -> str:
 
 def _load_hdf5() -> None:
     """Load h5py as the results do, so that its version is known before they are opened."""
-    from rvm_mpi.output import results
-
     with contextlib.suppress(ImportError):
-        results._import_h5py()
+        hdf5.import_h5py()
 
 
 def _hdf5() -> str:

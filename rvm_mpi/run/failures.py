@@ -11,18 +11,14 @@ import os
 import sys
 import time
 import traceback
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 from rvm_mpi.job.text import JobError, one_line
+from rvm_mpi.output.rundir import ENDED
 from rvm_mpi.run.launch import LaunchError, launched
-from rvm_mpi.run.terminal import tell
+from rvm_mpi.terminal import tell
 
-T = TypeVar("T")
-
-ENDED = "ended: "
-"""Beginning of the last line of `run.log`, which says how a run has ended; a killed one has none."""
 REFUSED = 2
 FAILED = 3
 INTERRUPTED = 130  # as a shell has it for Ctrl-C
@@ -63,36 +59,6 @@ def interrupted() -> int:
     if communicator is not None:
         communicator.Abort(INTERRUPTED)
     return INTERRUPTED
-
-
-def on_rank_0(comm: Any, action: Callable[[], T]) -> T | None:
-    """Do something on rank 0; if it cannot, every rank raises the same error. Collective.
-
-    Parameters
-    ----------
-    comm : MPI communicator
-    action : callable
-        May raise JobError, or an OSError, which becomes a DiskFailure.
-
-    Returns
-    -------
-    What `action` returns; None on other ranks.
-    """
-    from rvm_mpi.output.results import DiskFailure
-
-    result: T | None = None
-    error: Exception | None = None
-    if comm.rank == 0:
-        try:
-            result = action()
-        except (JobError, DiskFailure) as caught:
-            error = caught
-        except OSError as caught:
-            error = DiskFailure(str(caught))
-    error = comm.bcast(error)
-    if error is not None:
-        raise error
-    return result
 
 
 def _rank() -> int:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from rvm_mpi.output import rundir
+from rvm_mpi.output.disk import free_name
 
 if TYPE_CHECKING:
     from rvm_mpi.simulation import Simulation
@@ -141,7 +141,7 @@ def write(directory: Path, found: dict[str, Any], more: dict[str, Any]) -> Path:
     """
     path = directory / FILE
     if path.exists():
-        path.rename(rundir._free(directory / "post-mortem", ".json"))
+        path.rename(free_name(directory / "post-mortem", ".json"))
     part = path.with_name(path.name + ".part")
     part.write_text(json.dumps(_plain({**found, **more}), allow_nan=False), encoding="utf-8")
     part.replace(path)

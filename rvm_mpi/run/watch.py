@@ -9,6 +9,8 @@ import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
+from rvm_mpi.diagnostics import COLUMNS, Watched
+
 if TYPE_CHECKING:
     from rvm_mpi.job.job import Job
 
@@ -16,12 +18,19 @@ AGAIN = 10.0
 """Growth after which a warning is repeated."""
 
 
+def watched(job: Job) -> dict[str, Watched]:
+    """The columns of the history that a run of this job watches, balances first."""
+    found = [(column.name, column.watched) for column in COLUMNS if column.watched is not None]
+    found.sort(key=lambda one: one[1].threshold != "balance")
+    return {name: what for name, what in found if job.scheme.conservative or not what.conservative}
+
+
 def promised(job: Job) -> tuple[str, ...]:
     """Columns of the history that a run of this job keeps to round-off.
 
     Mass always; momentum and energy where the moments are carried and g is corrected to them.
     """
-    return ("mass_error", "momentum_error", "energy_error") if job.scheme.conservative else ("mass_error",)
+    return tuple(name for name, what in watched(job).items() if what.threshold == "balance")
 
 
 class Watch:
@@ -33,12 +42,12 @@ class Watch:
     """
 
     def __init__(self, job: Job) -> None:
-        watch = job.watch
+        self._watched = watched(job)
         # one is no threshold: where g is negative in places the outermost velocities can hold more than all
-        warning, self._stop = (x if x < 1.0 else math.inf for x in (watch.box_warning, watch.box_stop))
+        warning, self._stop = (x if x < 1.0 else math.inf for x in (job.watch.box_warning, job.watch.box_stop))
+        thresholds = {"balance": job.watch.balance, "box_warning": warning}
         #: size above which a quantity is spoken of next
-        self._next = dict.fromkeys(promised(job), watch.balance)
-        self._next.update({"box_mass": warning, "box_energy": warning})
+        self._next = {name: thresholds[what.threshold] for name, what in self._watched.items()}
 
     def warnings(self, row: Mapping[str, float]) -> list[str]:
         """Lines on what has passed its threshold with this row, or grown by ten since it was spoken of."""
@@ -48,15 +57,16 @@ class Watch:
             if size <= threshold:
                 continue
             self._next[name] = AGAIN * size
-            cure = _CURE if name.startswith("box") else ""
-            lines.append(f"{_WORDS[name].format(size)} in step {row['step']:.0f} at t = {row['time']:.6g}{cure}")
+            what = self._watched[name]
+            cure = _CURE if what.threshold == "box_warning" else ""
+            lines.append(f"{what.words.format(size)} in step {row['step']:.0f} at t = {row['time']:.6g}{cure}")
         return lines
 
     def reason_to_stop(self, row: Mapping[str, float]) -> str:
         """Why the run must not go on with this row; empty if it may."""
-        for name in ("box_mass", "box_energy"):
-            if _size(name, row) > self._stop:
-                return f"{_WORDS[name].format(_size(name, row))}, above watch.box_stop = {self._stop:g}"
+        for name, what in self._watched.items():
+            if what.threshold == "box_warning" and _size(name, row) > self._stop:
+                return f"{what.words.format(_size(name, row))}, above watch.box_stop = {self._stop:g}"
         return ""
 
 
@@ -73,12 +83,5 @@ def _size(name: str, row: Mapping[str, float]) -> float:
     return abs(row[name]) / (1.0 + entered / unit)
 
 
-_WORDS = {
-    "mass_error": "the balance of mass is off by {:.2g} of what there was and what came through the sides",
-    "momentum_error": "the balance of momentum is off by {:.2g} of mass times omega and what came through the sides",
-    "energy_error": "the balance of energy is off by {:.2g} of what there was and what came through the sides",
-    "box_mass": "the outermost velocities hold {:.2g} of some cell's mass",
-    "box_energy": "the outermost velocities hold {:.2g} of some cell's energy",
-}
 _CURE = ": a wider velocity.half_width holds it, but only with as many more velocity.points that the spacing stays"
 """Of a share in the outermost velocities: a wider box alone would make a coarse grid coarser."""

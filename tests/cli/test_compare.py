@@ -8,7 +8,7 @@ import pytest
 
 from rvm_mpi.commands.main import main
 from rvm_mpi.job.job import Job
-from rvm_mpi.simulation import run_job
+from rvm_mpi.run.run import run_job
 
 TABLES = {
     "space": {"cells": [5, 4], "boundary": {"x": "diffuse"}},

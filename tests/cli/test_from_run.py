@@ -8,7 +8,7 @@ import pytest
 from conftest import ROOT
 
 from rvm_mpi.commands.main import main
-from rvm_mpi.output.results import read_history
+from rvm_mpi.results import read_history
 
 JOB = """
 [space]

@@ -9,7 +9,7 @@ import numpy as np
 from rvm_mpi.commands.main import main
 from rvm_mpi.job.job import Job
 from rvm_mpi.output import rundir
-from rvm_mpi.output.results import History
+from rvm_mpi.output.history import History
 
 JOB = Job.from_dict(
     {

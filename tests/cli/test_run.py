@@ -15,7 +15,7 @@ from rvm_mpi import Simulation
 from rvm_mpi.commands.main import main
 from rvm_mpi.job.job import Job
 from rvm_mpi.output import rundir
-from rvm_mpi.output.results import open_run, read_history
+from rvm_mpi.results import open_run, read_history
 
 JOB = {
     "title": "tiny",

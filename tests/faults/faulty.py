@@ -11,7 +11,7 @@ import h5py
 import numpy as np
 from conftest import MPIRUN, ROOT, mpi_environment, start_line
 
-from rvm_mpi.output.results import open_run, read_history
+from rvm_mpi.results import open_run, read_history
 
 PROGRAM = Path(__file__).with_name("program.py")
 STEPS = 14

@@ -27,27 +27,31 @@ from pathlib import Path
 from rvm_mpi import simulation
 from rvm_mpi.commands.main import main
 from rvm_mpi.job.job import Job
-from rvm_mpi.output import checkpoint, results, rundir
+from rvm_mpi.output import checkpoint, rundir
+from rvm_mpi.output.fields import FieldsFile
+from rvm_mpi.output.history import History
+from rvm_mpi.output.restart import Checkpoint
+from rvm_mpi.output.xdmf import Xdmf
 from rvm_mpi.step import stepper as stepping
 
 POINTS = {
     "read": (Job, "from_file"),
     "prepare": (rundir, "prepare"),
     "init": (stepping.KineticStepper, "__init__"),
-    "open": (results.FieldsFile, "__init__"),
+    "open": (FieldsFile, "__init__"),
     "step": (simulation.Simulation, "advance"),
-    "history": (results.History, "append"),
+    "history": (History, "append"),
     "snapshot": (simulation.Simulation, "snapshot"),
-    "fields": (results.FieldsFile, "_write_blocks"),
-    "time": (results.FieldsFile, "_write_time"),
-    "xdmf": (results.Xdmf, "add"),
+    "fields": (FieldsFile, "_write_blocks"),
+    "time": (FieldsFile, "_write_time"),
+    "xdmf": (Xdmf, "add"),
     "checkpoint": (checkpoint, "write"),
     "create": (checkpoint, "_create"),
     "blocks": (checkpoint, "_write_blocks"),
     "sums": (checkpoint, "checksums"),  # between the blocks
     "flush": (checkpoint, "flush_to_disk"),
     "rename": (Path, "replace"),
-    "load": (checkpoint.Checkpoint, "fill"),
+    "load": (Checkpoint, "fill"),
 }
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from pathlib import Path
 way, run, stop = sys.argv[1], Path(sys.argv[2]), Path(sys.argv[3])
 import h5py
-from rvm_mpi.output.results import open_run, read_history
+from rvm_mpi.results import open_run, read_history
 reads, seen = 0, set()
 while not stop.exists():
     if not (run / "fields.h5").exists() or not (run / "history.csv").exists():

@@ -8,7 +8,7 @@ from faults.faulty import COMPILING, Started, assert_same, run, wait_for
 
 from rvm_mpi.commands.main import main
 from rvm_mpi.output import rundir
-from rvm_mpi.output.results import open_run
+from rvm_mpi.results import open_run
 
 pytestmark = pytest.mark.timeout(900)
 

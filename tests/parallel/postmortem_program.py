@@ -8,7 +8,8 @@ import sys
 from pathlib import Path
 
 from rvm_mpi.job.job import Job
-from rvm_mpi.simulation import Simulation, run_job
+from rvm_mpi.run.run import run_job
+from rvm_mpi.simulation import Simulation
 
 JOB = {
     "space": {"cells": [12, 9], "boundary": {"y": "diffuse"}},

@@ -13,7 +13,7 @@ from mpi4py import MPI
 from restart_cases import STEPS, make_job
 
 from rvm_mpi.output import checkpoint
-from rvm_mpi.simulation import run_job
+from rvm_mpi.run.run import run_job
 
 
 def main():

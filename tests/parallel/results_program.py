@@ -15,7 +15,8 @@ from mpi4py import MPI
 from rvm_mpi.exact_sum import exact_sums
 from rvm_mpi.grid.domain import Domain
 from rvm_mpi.job.job import Job
-from rvm_mpi.output import results
+from rvm_mpi.output.fields import FieldsFile
+from rvm_mpi.output.layout import Layout, field_layout
 
 comm = MPI.COMM_WORLD
 
@@ -40,7 +41,7 @@ def fields(job, domain, snapshot):
     (i0, j0), (nx, ny) = domain.start, domain.local
     y, x = np.meshgrid(np.arange(j0, j0 + ny), np.arange(i0, i0 + nx), indexing="ij")
     result = {}
-    for number, (name, layout) in enumerate(results.field_layout(job).items()):
+    for number, (name, layout) in enumerate(field_layout(job).items()):
         per_cell = layout.shape[job.space.dimensions :]
         inner = np.arange(int(np.prod(per_cell, dtype=int))).reshape(per_cell)
         base = (x + 1000 * y + 1e6 * number + snapshot / 3).reshape(ny, nx, *(1 for _ in per_cell))
@@ -59,10 +60,10 @@ def main():
     last = comm.rank == comm.size - 1
     extra = {}
     if "x" in cells:
-        extra["wall/x-lower/pressure"] = results.Layout((job.space.cells[1],), ("y",), "pressure")
+        extra["wall/x-lower/pressure"] = Layout((job.space.cells[1],), ("y",), "pressure")
     if case == "no-room" and comm.rank == 0:
         limit_file_size(10_000)
-    with results.FieldsFile(directory / "fields.h5", comm, domain, job, {"version": "0"}, extra) as file:
+    with FieldsFile(directory / "fields.h5", comm, domain, job, {"version": "0"}, extra) as file:
         for snapshot, time in enumerate(job.output.times):
             values = fields(job, domain, snapshot)
             shares = {}

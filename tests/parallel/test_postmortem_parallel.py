@@ -8,7 +8,8 @@ import pytest
 from mpi4py import MPI
 
 from rvm_mpi.output.checkpoint import Checkpoint
-from rvm_mpi.output.results import _open, read_history
+from rvm_mpi.output.hdf5 import open_alone
+from rvm_mpi.results import read_history
 
 PROGRAM = Path(__file__).with_name("postmortem_program.py")
 CELL, STEP = (11, 7), 4
@@ -54,7 +55,7 @@ def test_no_checkpoint_holds_what_is_no_number(failed, ranks):
     for name in names:
         with Checkpoint(directory / name, MPI.COMM_SELF) as found:
             assert found.numbers["number"] == int(name[-5:-3])
-        with _open(directory / name, "r") as file:
+        with open_alone(directory / name, "r") as file:
             assert np.isfinite(file["g"][...]).all() and np.isfinite(file["cells"][...]).all()
 
 

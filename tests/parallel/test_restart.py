@@ -12,7 +12,7 @@ import h5py
 import pytest
 from conftest import mpi_environment, start_line
 
-from rvm_mpi.commands.compare import compare_paths
+from rvm_mpi.output.compare import compare_paths
 
 PROGRAM = Path(__file__).with_name("restart_program.py")
 PATIENCE = 400.0  # seconds: on a busy machine kernels may take minutes to compile the first time

@@ -9,7 +9,7 @@ import pytest
 from parallel.restart_cases import EVERYWHERE, STEPS
 from parallel.test_restart import PATIENCE, PROGRAM, assert_same
 
-from rvm_mpi.output.results import read_history
+from rvm_mpi.results import read_history
 
 pytestmark = [pytest.mark.timeout(5 * PATIENCE), pytest.mark.long]
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rvm_mpi.output import results
+from rvm_mpi import results
 
 PROGRAM = Path(__file__).with_name("results_program.py")
 

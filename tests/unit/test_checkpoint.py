@@ -10,12 +10,14 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
-from rvm_mpi.commands.compare import compare_paths
+from rvm_mpi.agree import DiskFailure
 from rvm_mpi.job.job import Job, JobError
-from rvm_mpi.output import checkpoint, results, rundir
-from rvm_mpi.output.checkpoint import Checkpoint, DamagedCheckpoint, use_newest
-from rvm_mpi.output.results import DiskFailure, open_run
-from rvm_mpi.simulation import Simulation, run_job
+from rvm_mpi.output import checkpoint, fields, rundir
+from rvm_mpi.output.compare import compare_paths
+from rvm_mpi.output.restart import Checkpoint, DamagedCheckpoint, use_newest
+from rvm_mpi.results import open_run
+from rvm_mpi.run.run import run_job
+from rvm_mpi.simulation import Simulation
 
 
 def make_job(cells=(6,), **tables):
@@ -114,7 +116,7 @@ def test_no_call_moves_more_than_the_limit(tmp_path, monkeypatch):
     simulation = stepped(job, 1)
     block = simulation.state().g.shape[-1]
     monkeypatch.setattr(checkpoint, "CALL", 3 * 8 * block + 100)
-    assert list(checkpoint._pieces(simulation.state().g))[:3] == [(0, 0, 3), (0, 3, 1), (1, 0, 3)]
+    assert list(checkpoint.pieces(simulation.state().g))[:3] == [(0, 0, 3), (0, 3, 1), (1, 0, 3)]
     save(simulation, tmp_path)
     assert bits(load(job, tmp_path)[0]) == bits(simulation)
 
@@ -366,7 +368,7 @@ def test_no_snapshot_is_lost_where_the_disk_has_no_room_for_more(tmp_path, monke
     def full(*_):
         raise OSError(28, "No space left on device")
 
-    owner, name = (results, "check_room") if fault == "no room" else (os, "fsync")
+    owner, name = (fields, "check_room") if fault == "no room" else (os, "fsync")
     with monkeypatch.context() as patch:
         patch.setattr(owner, name, full if fault == "no room" else fails_on_fields(full))
         more = make_job(output={"times": [0.0, 0.8, 0.9]})

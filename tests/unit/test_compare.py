@@ -9,8 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
 
-from rvm_mpi.commands import compare
-from rvm_mpi.commands.compare import Columns, Found, Picked, Quantity, _pairs
+from rvm_mpi.output import differences
+from rvm_mpi.output.compare import _pairs
+from rvm_mpi.output.differences import Columns, Found, Picked, Quantity
 
 NUMBERS = st.one_of(
     st.sampled_from([0.0, -0.0, 1.0, math.nan, math.inf, -math.inf, 1e-320]), st.floats(allow_subnormal=True)
@@ -46,9 +47,9 @@ def by_hand(one, other, allowed):
 @given(pair=pairs(), tolerance=st.one_of(st.none(), st.floats(0.0, 2.0)), size=st.floats(0.0, 10.0))
 def test_against_a_loop_over_the_numbers(piece, pair, tolerance, size):
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(compare, "PIECE", piece)
+        patch.setattr(differences, "PIECE", piece)
         axes = ("a", "b", "c")[: pair[0].ndim]
-        found = compare.compare(*(Quantity(axes, values) for values in pair), size, tolerance)
+        found = differences.compare(*(Quantity(axes, values) for values in pair), size, tolerance)
     first, largest = by_hand(*pair, None if tolerance is None else tolerance * size)
     if first is None:
         assert found is None
@@ -63,8 +64,8 @@ def test_against_a_loop_over_the_numbers(piece, pair, tolerance, size):
 @given(values=arrays(np.float64, array_shapes(max_dims=3, max_side=4), elements=NUMBERS))
 def test_everything_equals_itself(values):
     axes = ("a", "b", "c")[: values.ndim]
-    assert compare.compare(Quantity(axes, values), Quantity(axes, values.copy()), 1.0) is None
-    assert compare.compare(Quantity(axes, values), Quantity(axes, values.copy()), 1.0, 0.0) is None
+    assert differences.compare(Quantity(axes, values), Quantity(axes, values.copy()), 1.0) is None
+    assert differences.compare(Quantity(axes, values), Quantity(axes, values.copy()), 1.0, 0.0) is None
 
 
 def test_snapshots_are_paired_by_their_times():
@@ -77,7 +78,7 @@ def test_snapshots_are_paired_by_their_times():
     other = Quantity(("time", "x"), Picked(np.array([[1.0, 2.0], [5.0, 6.5]]), (0, 1)))
     assert one.shape == (2, 2)
     assert one.largest() == 6.0
-    assert compare.compare(one, other, 1.0) == Found((1, 1), (6.0, 6.5), 0.5, 0.5, (1, 1))
+    assert differences.compare(one, other, 1.0) == Found((1, 1), (6.0, 6.5), 0.5, 0.5, (1, 1))
 
 
 def test_units_of_what_is_nought_but_for_rounding():
@@ -85,10 +86,10 @@ def test_units_of_what_is_nought_but_for_rounding():
         return Quantity(("step",), np.array([value]))
 
     one = {"mass": 4.0, "energy": 9.0, "momentum_x": 1e-16, "energy_error": 2e-16, "min_g": 1e-20, "max_g": 0.5}
-    size = compare.sizes({n: quantity(v) for n, v in one.items()}, {n: quantity(-v) for n, v in one.items()})
+    size = differences.sizes({n: quantity(v) for n, v in one.items()}, {n: quantity(-v) for n, v in one.items()})
     assert size == {"mass": 4.0, "energy": 9.0, "momentum_x": 6.0, "energy_error": 1.0, "min_g": 0.5, "max_g": 0.5}
     fields = {"kinetic/temperature": 4.0, "kinetic/density": 2.0, "kinetic/velocity": 0.0, "kinetic/heat_flux": 1e-17}
-    size = compare.sizes(*({n: quantity(v) for n, v in fields.items()} for _ in range(2)))
+    size = differences.sizes(*({n: quantity(v) for n, v in fields.items()} for _ in range(2)))
     assert size["kinetic/velocity"] == 2.0 and size["kinetic/heat_flux"] == 16.0
 
 

@@ -13,8 +13,9 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+from rvm_mpi.job.initial import INITIAL_STATES
 from rvm_mpi.job.job import ALLOWED, Job, JobError
-from rvm_mpi.job.schema import INITIAL_STATES, duration
+from rvm_mpi.job.schema import duration
 
 if sys.version_info >= (3, 11):
     import tomllib

@@ -9,7 +9,8 @@ import pytest
 from rvm_mpi.job.job import Job
 from rvm_mpi.job.text import parse_toml
 from rvm_mpi.run import postmortem
-from rvm_mpi.simulation import Simulation, run_job
+from rvm_mpi.run.run import run_job
+from rvm_mpi.simulation import Simulation
 from rvm_mpi.step.failure import NumericalFailure
 
 GRANULAR = {"operator": "granular-es-bgk", "knudsen": 0.2, "restitution": 0.9}

@@ -10,8 +10,11 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
+from rvm_mpi import results
 from rvm_mpi.job.job import Job
-from rvm_mpi.output import results
+from rvm_mpi.output.fields import FieldsFile
+from rvm_mpi.output.history import History
+from rvm_mpi.output.layout import field_layout
 
 POSTPROCESS = Path(__file__).resolve().parents[2] / "postprocess"
 sys.path.insert(0, str(POSTPROCESS))
@@ -60,12 +63,12 @@ def make_run(directory, cells=(12, 8), times=TIMES, marginals=True, fluid=True, 
     domain = SimpleNamespace(dimensions=len(cells), start=(0, 0), local=(nx, ny))
     x, y = np.meshgrid(-1 + (np.arange(nx) + 0.5) * 2 / nx, (np.arange(ny) + 0.5) / ny)
     xi = -7 + (np.arange(16) + 0.5) * 14 / 16
-    rows = results.History(directory / "history.csv", (*HISTORY, "correction"))
-    with results.FieldsFile(directory / "fields.h5", MPI.COMM_SELF, domain, job, {}) as file:
+    rows = History(directory / "history.csv", (*HISTORY, "correction"))
+    with FieldsFile(directory / "fields.h5", MPI.COMM_SELF, domain, job, {}) as file:
         for index, time in enumerate(times[:snapshots]):
             fields = {
                 name: np.zeros((ny, nx, *v.shape[len(cells) :]))
-                for name, v in results.field_layout(job).items()
+                for name, v in field_layout(job).items()
             }
             for model in ("kinetic", "fluid")[: 1 + fluid]:
                 fields[f"{model}/density"][...] = density(model, time, x, y)

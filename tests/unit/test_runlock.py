@@ -13,10 +13,10 @@ import pytest
 from mpi4py import MPI
 
 from rvm_mpi.job.job import JobError
+from rvm_mpi.output import lock as runlock
 from rvm_mpi.output import rundir
-from rvm_mpi.output.results import DirectoryLost
-from rvm_mpi.run import lock as runlock
-from rvm_mpi.run.lock import Claim, Lock, Owner
+from rvm_mpi.output.lock import Lock, Owner
+from rvm_mpi.run.claim import Claim, DirectoryLost
 
 
 def left(directory, owner, age=0.0):
@@ -45,7 +45,7 @@ def test_taken_once_and_free_again_at_the_end(tmp_path):
 
 
 def test_what_a_killed_process_left_is_taken_over_at_once(tmp_path):
-    code = "import sys, pathlib, time, rvm_mpi.run.lock as r; r.Lock(pathlib.Path(sys.argv[1])); time.sleep(60)"
+    code = "import sys, pathlib, time, rvm_mpi.output.lock as r; r.Lock(pathlib.Path(sys.argv[1])); time.sleep(60)"
     with subprocess.Popen([sys.executable, "-c", code, str(tmp_path)]) as process:
         limit = time.monotonic() + 30
         while not (tmp_path / "lock").exists():
@@ -146,7 +146,7 @@ def test_a_run_shows_signs_of_life(tmp_path, monkeypatch):
 def test_of_many_at_one_instant_one_gets_what_a_killed_run_left(tmp_path, links):
     code = (
         "import os, sys, pathlib, time\n"
-        "from rvm_mpi.run import lock as runlock\n"
+        "from rvm_mpi.output import lock as runlock\n"
         "from rvm_mpi.job.text import JobError\n"
         "def refuse(*_): raise PermissionError(1, 'no links here')\n"
         f"if not {links}: os.link = refuse\n"

@@ -5,9 +5,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from rvm_mpi.commands.check import describe_states
+from rvm_mpi.job.initial import INITIAL_STATES
 from rvm_mpi.job.job import Job, JobError
-from rvm_mpi.job.schema import INITIAL_STATES
-from rvm_mpi.states import STATES, describe_states, macroscopic_state
+from rvm_mpi.states import STATES, macroscopic_state
 
 SIDES = {
     "left": {"density": 1, "temperature": 2, "velocity": [1, 0, 0]},
@@ -219,9 +220,9 @@ def run(tmp_path, monkeypatch):
         },
         {"time": [0.0, 0.5], "x": (np.arange(12) + 0.5) / 12, "y": (np.arange(10) + 0.5) / 10},
     )
-    from rvm_mpi.output import results
+    from rvm_mpi.output import read
 
-    monkeypatch.setattr(results, "open_run", lambda path: dataset)
+    monkeypatch.setattr(read, "open_run", lambda path: dataset)
     return str(tmp_path), (density, velocity, stress)
 
 

@@ -6,9 +6,10 @@ import pytest
 from rvm_mpi.commands.main import main
 from rvm_mpi.job.job import Job
 from rvm_mpi.output import checkpoint
-from rvm_mpi.output.results import read_history
+from rvm_mpi.results import read_history
 from rvm_mpi.run import watch
-from rvm_mpi.simulation import Simulation, run_job
+from rvm_mpi.run.run import run_job
+from rvm_mpi.simulation import Simulation
 
 TABLES = {
     "space": {"cells": [6], "boundary": {"x": "diffuse"}},

@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 
 from rvm_mpi import Job
 from rvm_mpi.advice import duration, first_step, physics, velocity_grid
-from rvm_mpi.commands.compare import compare_paths
 from rvm_mpi.job.job import JobError
-from rvm_mpi.simulation import run_job
+from rvm_mpi.output.compare import compare_paths
+from rvm_mpi.run.run import run_job
 from tests.verification.units import Units, factor, rescaled, results
 
 #: largest exponent of two of a unit

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from rvm_mpi import Simulation
-from rvm_mpi.output.results import open_run
-from rvm_mpi.simulation import run_job
+from rvm_mpi.results import open_run
+from rvm_mpi.run.run import run_job
 from tests.verification.kinetic_cases import build, es_bgk
 
 
