@@ -7,7 +7,6 @@ import pytest
 
 from rvm_mpi import Job, Simulation
 from rvm_mpi.step import stepper as stepping
-from rvm_mpi.step.sweep import DRIFT, TRANSPORT
 from tests.verification import time_order
 from tests.verification.kinetic_cases import build, es_bgk, line, orders
 
@@ -48,8 +47,8 @@ def run_front(cfl: float):
     """(simulation at the end, mean over the steps of dt over that for transport and drift together)."""
     simulation, gains, smallest = Simulation(front(cfl)), [], np.inf
     for step in simulation:
-        local = simulation.kinetic._diagnostics
-        gains.append(step.dt * (local[..., TRANSPORT] + local[..., DRIFT]).max() / cfl)
+        local = simulation.kinetic.report
+        gains.append(step.dt * (local["transport"] + local["drift"]).max() / cfl)
         smallest = min(smallest, simulation.diagnostics.row["min_g"])
     assert smallest >= 0.0
     row = simulation.diagnostics.row
