@@ -83,6 +83,8 @@ pip=(.venv/bin/python -m pip install --disable-pip-version-check --constraint .v
 "${pip[@]}" 'pip>=23' >"$log" 2>&1 || failed_log "pip could not update itself"  # older ones do not isolate builds
 "${pip[@]}" --editable ".$extras" "${from_pip[@]}" >>"$log" 2>&1 || failed_log "pip install failed"
 .venv/bin/python scripts/venv_setup.py check || fail "the installation does not work"
+say "compiling the kernels for this processor (a minute)"
+.venv/bin/rvm compile || say "the kernels could not be compiled now: the first run does it"
 
 fingerprint >"$stamp"
 say "installed: .venv/bin/rvm"

@@ -1,4 +1,4 @@
-"""The commands `rvm run`, `rvm check`, `rvm info` and `rvm bench`: they parse and print, and compute nothing.
+"""The commands of `rvm`: they parse and print, and compute nothing.
 
 A job is read and checked before PETSc and MPI are imported, on every rank, so that a wrong request ends at
 once.
@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from rvm_mpi import __version__, terminal
-from rvm_mpi.commands import check, run
+from rvm_mpi.commands import check, compile, run
 from rvm_mpi.commands.arguments import EXIT_STATUS, count, tolerance
 from rvm_mpi.job.text import JobError
 from rvm_mpi.run import failures
@@ -53,13 +53,14 @@ def _parser() -> argparse.ArgumentParser:
         epilog=EXIT_STATUS,
     )
     parser.add_argument("--version", action="version", version=f"rvm {__version__}")
-    commands = parser.add_subparsers(dest="command", required=True, metavar="run|check|info|compare|bench")
+    commands = parser.add_subparsers(dest="command", required=True, metavar="run|check|info|compare|compile|bench")
     run.add(commands)
     check.add(commands)
     info = commands.add_parser("info", help="what a run directory holds", allow_abbrev=False)
     info.add_argument("directory", metavar="DIR", type=Path)
     info.set_defaults(function=_info)
     _add_compare(commands)
+    compile.add(commands)
     bench = commands.add_parser("bench", help="throughput of the step on this machine", allow_abbrev=False)
     bench.add_argument("--cells", nargs=2, type=count, metavar=("NX", "NY"), default=[64, 64])
     bench.add_argument("--velocity", nargs=3, type=count, metavar=("NX", "NY", "NZ"), default=[24, 24, 8])

@@ -29,7 +29,7 @@ FEWEST_CELLS = 3
 SIDE, BORDER = 1.0, 0.5
 
 
-def _petsc() -> Any:
+def start_petsc() -> Any:
     """PETSc, started if nobody has: without its signal handlers, which end a program where a pipe's reader leaves."""
     import petsc4py
 
@@ -140,7 +140,7 @@ class Domain:
     def __init__(self, job: Job, comm: Any = None) -> None:
         from mpi4py import MPI
 
-        PETSc = _petsc()
+        PETSc = start_petsc()
         given = MPI.COMM_WORLD if comm is None else comm
         self.size, self._launched = given.Get_size(), given.Get_rank()
         cells = tuple(job.space.cells)

@@ -14,7 +14,6 @@ from typing import Any
 from rvm_mpi import time_limits
 from rvm_mpi.advice.accuracy import GridWatch
 from rvm_mpi.agree import DiskFailure, agreed_on_disk, on_rank_0
-from rvm_mpi.compiling.declare import all_compiled
 from rvm_mpi.job.job import Job, JobError
 from rvm_mpi.output import checkpoint, rundir
 from rvm_mpi.output.fields import FieldsFile, check_times
@@ -28,6 +27,7 @@ from rvm_mpi.run.claim import Claim
 from rvm_mpi.run.control import Control
 from rvm_mpi.run.launch import LaunchError, again, launched
 from rvm_mpi.run.progress import Progress
+from rvm_mpi.run.warm import prepare
 from rvm_mpi.run.watch import Watch
 from rvm_mpi.simulation import Simulation
 from rvm_mpi.step.failure import NumericalFailure
@@ -69,13 +69,12 @@ def run_job(
     _check_same_on_all_ranks(job, output, restart, overwrite)
     if Path.cwd().is_relative_to(output.resolve()):
         output = output.resolve()  # "." goes with a directory that is moved aside
-    if not quiet and launched().rank == 0 and not all_compiled():
-        tell("compiling the kernels, kept for the next run: some seconds")
     with Control(output, walltime, job.output.checkpoint_every) as control:
         from mpi4py import MPI
 
         with Claim(output, MPI.COMM_WORLD) as claim:
             try:
+                prepare(MPI.COMM_WORLD, tell if launched().rank == 0 and not quiet else lambda _: None)
                 return _run_claimed(job, claim, control, restart, overwrite, quiet)
             except JobError:
                 raise

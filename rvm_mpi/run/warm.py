@@ -42,7 +42,13 @@ JOBS: dict[str, tuple[dict[str, Any], ...]] = {
         },
     ),
     "the Boltzmann operator": (
-        {"space": {"cells": []}, "velocity": {"points": [8, 8], "half_width": 7.0}, "collision": _SPHERES},
+        {
+            "space": {"cells": []},
+            "velocity": {"points": [16, 16], "half_width": 9.0},
+            "collision": _SPHERES,
+            "scaling": {"kind": "macroscopic"},
+            "initial": {"state": "two-gaussians"},
+        },
         {"space": {"cells": [4]}, "velocity": {"points": [16], "half_width": 9.0}, "collision": _SPHERES},
         {"space": {"cells": [4, 4]}, "velocity": {"points": [8, 8, 8], "half_width": 7.0}, "collision": _SPHERES},
     ),
@@ -64,7 +70,7 @@ def compile_kernels(say: Callable[[str], None]) -> None:
     for number, (what, jobs) in enumerate(JOBS.items(), 1):
         say(f"compiling kernels, {number} of {len(JOBS)}: {what}")
         for tables in jobs:
-            job = Job.from_dict({"time": {"end": 1e-3, "max_steps": 1}, **tables}, name="compile")
+            job = Job.from_dict({"initial": {"state": "uniform"}, "time": {"end": 1e-3, "max_steps": 1}, **tables}, name="compile")
             simulation = Simulation(job, comm=MPI.COMM_SELF)
             simulation.advance()
             simulation.snapshot()
@@ -75,6 +81,9 @@ def prepare(comm: Any, say: Callable[[str], None]) -> None:
     """Have one rank of each node compile what is not on disk yet, the others of the node wait; collective."""
     from mpi4py import MPI
 
+    from rvm_mpi.grid.domain import start_petsc
+
+    start_petsc()  # by all ranks: the small jobs are those of single ones
     node = comm.Split_type(MPI.COMM_TYPE_SHARED)
     if node.rank == 0 and not all_compiled():
         compile_kernels(say)

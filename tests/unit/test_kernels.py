@@ -26,30 +26,6 @@ g = np.random.default_rng(1).uniform(size=(1, 1, grid.block))
 sums = moments.sums_about(g, Space(0, 1, 1, 0, 0, 0.0, 0.0), kernel_grid(grid), np.zeros((1, 1, 3)))
 print(*map(float.hex, sums.ravel()), sum(moments._sums_about._compiled.stats.cache_hits.values()))
 """
-#: two steps of a small gas in the plane, and a hash of all that they leave
-STEPS = """
-import hashlib
-from rvm_mpi.commands.bench import _job
-from rvm_mpi.simulation import Simulation
-sim = Simulation(_job((4, 4), (10, 9, 8)))
-for _ in range(2):
-    sim.advance()
-digest = hashlib.sha256()
-for array in (sim.kinetic.g, sim.kinetic.now.sums, sim.kinetic.now.carried, sim.fluid.state):
-    digest.update(array.tobytes())
-print(digest.hexdigest())
-"""
-#: kernels and parts that the steps have too, compiled by themselves and for other arguments before
-OTHERS = """
-import numpy as np
-from rvm_mpi.kinetic import conservation
-from rvm_mpi.fluid import cells
-assert not conservation.solve(np.zeros((2, 2)) - np.eye(2), np.zeros(2), 2)
-cells.cool(np.ones((1, 1, 3)), 1.0, 1.0, 0.1)
-assert conservation.relative_mismatch(np.ones(10), 1.0, 1.0, 3.0) == 1.0
-"""
-
-
 def start(program, cache, package=ROOT, **environment):
     environment = os.environ | {
         "NUMBA_CACHE_DIR": str(cache),
@@ -69,13 +45,6 @@ def said(process):
 
 def run(program, cache, package=ROOT, **environment):
     return said(start(program, cache, package, **environment))
-
-
-def test_the_same_bits_from_any_cache_in_any_order(tmp_path):
-    first = run(STEPS, tmp_path / "a")
-    assert run(STEPS, tmp_path / "a") == first
-    assert run(OTHERS + SUMS + STEPS, tmp_path / "b")[-1:] == first
-    assert run(STEPS + SUMS, tmp_path / "b")[:1] == first
 
 
 def test_a_change_in_what_a_kernel_calls_is_seen(tmp_path):
