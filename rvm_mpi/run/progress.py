@@ -26,7 +26,7 @@ class Progress:
     stream : where to report, such as sys.stderr; None reports nothing there
     log : a second stream that always gets plain lines, such as run.log
     ranks, stages : cores in use and stages of a time step, for the last line's throughput
-    start_time, start_step : where a restarted run begins
+    start : step and time at which a restarted run begins
     stretched : function of time that grows as the number of steps (`time_limits.stretched_time`); time itself if None
     now : clock in seconds, replaced in tests
     """
@@ -38,8 +38,7 @@ class Progress:
         log: TextIO | Log | None = None,
         ranks: int = 1,
         stages: int = 2,
-        start_time: float = 0.0,
-        start_step: int = 0,
+        start: tuple[int, float] = (0, 0.0),
         stretched: Callable[[float], float] | None = None,
         now: Callable[[], float] = clock.perf_counter,
     ):
@@ -50,8 +49,9 @@ class Progress:
         self._ranks, self._stages = ranks, stages
         self._now = now
         self._begin = self._last_line = now()
-        self._first_step, self._step, self._time = start_step, start_step, start_time
-        self._recent: deque[tuple[float, int, float]] = deque([(self._begin, start_step, start_time)])
+        self._first_step = self._step = start[0]
+        self._time = start[1]
+        self._recent: deque[tuple[float, int, float]] = deque([(self._begin, *start)])
         terminal = stream is not None and stream.isatty()
         self._lines = [s for s in (None if terminal else stream, log) if s is not None]
         self._bar: Any = None
@@ -60,7 +60,7 @@ class Progress:
 
             bar_format = "{percentage:3.0f}%|{bar:16}| {desc}"
             self._bar = tqdm(
-                total=self._end, initial=start_time, file=stream, bar_format=bar_format, dynamic_ncols=True
+                total=self._end, initial=start[1], file=stream, bar_format=bar_format, dynamic_ncols=True
             )
 
     def update(

@@ -203,7 +203,7 @@ class Run:
         if self.head:
             stream = None if self.quiet else sys.stderr
             progress = Progress(
-                sim.job, stream, self.log, self.comm.size, start_time=sim.time, start_step=sim.number,
+                sim.job, stream, self.log, self.comm.size, start=(sim.number, sim.time),
                 stretched=time_limits.stretched_time(sim.job, sim.diagnostics.first_rate),
             )  # fmt: skip
         stopped = ""

@@ -103,7 +103,7 @@ def test_max_steps_is_an_end_too():
 
 def test_last_line_has_the_throughput_in_all_and_per_core():
     clock, out = Clock(), io.StringIO()
-    progress = Progress(job(), out, ranks=4, stages=2, start_time=2.0, start_step=100, now=clock)
+    progress = Progress(job(), out, ranks=4, stages=2, start=(100, 2.0), now=clock)
     run(progress, clock, steps=20, seconds=0.5, dt=0.25, first=101, time=2.0)
     progress.close()
     expected = "20 steps to t = 7 in 10.0 s: 400 k phase-space cell stages per second, 100 k per core on 4"
