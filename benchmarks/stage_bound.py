@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from rvm_mpi.collisions.es_bgk import gaussian_moments
+from rvm_mpi.kinetic.gaussian import gaussian_moments
 from rvm_mpi.compiling.declare import kernel
 from rvm_mpi.compiling.simd import splat, store
 from rvm_mpi.grid.domain import aligned

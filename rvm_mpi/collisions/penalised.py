@@ -9,11 +9,12 @@ import numpy as np
 
 from rvm_mpi import time_limits
 from rvm_mpi.collisions.boltzmann import BoltzmannOperator
-from rvm_mpi.collisions.es_bgk import REPLACED, discrete_maxwellian
 from rvm_mpi.collisions.weight_store import shared_weights
 from rvm_mpi.compiling.declare import kernel
 from rvm_mpi.compiling.simd import LANES, fma, load, splat, total
 from rvm_mpi.grid.velocity import Y, Z
+from rvm_mpi.kinetic.gaussian import discrete_maxwellian
+from rvm_mpi.kinetic.realisable import REPLACED
 from rvm_mpi.units import power
 
 if TYPE_CHECKING:

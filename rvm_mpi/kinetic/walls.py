@@ -4,7 +4,7 @@ Velocities that leave see the extrapolated gas, cut at zero, so that the limiter
 velocities that enter see, in both ghost cells, the value g has on the face: reflected, of the wall's or of the far
 gas's Maxwellian, or none. A specular wall mirrors the gas, which is the same as the mirrored domain beyond it.
 
-A Maxwellian that enters is the discrete Gaussian that the gas inside relaxes to (`es_bgk.fit_axis`, axis by axis), in
+A Maxwellian that enters is the discrete Gaussian that the gas inside relaxes to (`gaussian.fit_axis`, axis by axis), in
 the inner cell's omega: u/omega and T/omega^2. So a gas in equilibrium with its side stays as it is, to round-off, on
 any grid. Where the nodes of the inner cell cannot hold the side's temperature or velocity (a wall much colder than the
 gas), they take the nearest that they can; mass, momentum and energy that cross the face are those of the side's state
@@ -16,9 +16,9 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from rvm_mpi.collisions.es_bgk import fit_axis, smallest_variance
+from rvm_mpi.kinetic.gaussian import fit_axis
+from rvm_mpi.kinetic.realisable import ROOM, smallest_variance
 from rvm_mpi.compiling.declare import kernel, part
-from rvm_mpi.step.fit import ROOM
 
 SPECULAR, MAXWELL, FAR_FIELD, OUTFLOW, VACUUM = range(5)
 KINDS = {

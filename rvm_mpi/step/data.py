@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rvm_mpi.collisions.es_bgk import Fit, Gaussian
+from rvm_mpi.kinetic.gaussian import Fit, Gaussian
 from rvm_mpi.compiling.declare import part
 from rvm_mpi.grid.domain import aligned
 from rvm_mpi.grid.velocity import VelocityGrid, Y

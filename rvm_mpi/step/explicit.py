@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 
-from rvm_mpi.collisions.es_bgk import EXACT, REPLACED, discrete_gaussian
+from rvm_mpi.kinetic.gaussian import discrete_gaussian
+from rvm_mpi.kinetic.realisable import EXACT, REPLACED
 from rvm_mpi.compiling.declare import part
 from rvm_mpi.compiling.simd import fma, load, splat, store
 from rvm_mpi.kinetic.drift import Mix, apply

@@ -12,13 +12,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from rvm_mpi.kinetic.realisable import ROOM
 from rvm_mpi.states import distribution
 
 if TYPE_CHECKING:
     from rvm_mpi.job.job import Job
 
-#: room above the smallest variance, in units of h^2, that keeps Newton's matrix for a Gaussian well conditioned
-ROOM = 0.01
 #: what rounding may take of that room, so that a kernel's fused arithmetic comes to the same answer
 ROUNDING = 1e-12
 #: largest relative error of the moments that a sampled initial state may be corrected by

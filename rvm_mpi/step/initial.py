@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from rvm_mpi.collisions.es_bgk import EXACT, discrete_gaussian
+from rvm_mpi.kinetic.gaussian import discrete_gaussian
+from rvm_mpi.kinetic.realisable import EXACT
 from rvm_mpi.compiling.declare import kernel
 from rvm_mpi.grid.velocity import VelocityGrid
 from rvm_mpi.kinetic.conservation import SUMS, correct

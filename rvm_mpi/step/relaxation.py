@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from rvm_mpi.collisions.es_bgk import EXACT, REPLACED, discrete_gaussian, discrete_maxwellian
+from rvm_mpi.kinetic.gaussian import discrete_gaussian, discrete_maxwellian
+from rvm_mpi.kinetic.realisable import EXACT, REPLACED
 from rvm_mpi.compiling.declare import part
 from rvm_mpi.compiling.simd import fma, load, store
 from rvm_mpi.kinetic.conservation import add_correction, correct, no_factor, weighted_sums

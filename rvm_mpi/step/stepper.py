@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from rvm_mpi import time_limits
-from rvm_mpi.collisions.es_bgk import EXACT
+from rvm_mpi.kinetic.realisable import EXACT
 from rvm_mpi.collisions.penalised import ExplicitOperator
 from rvm_mpi.grid.velocity import VelocityGrid
 from rvm_mpi.job.job import JobError

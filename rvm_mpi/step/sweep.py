@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 
-from rvm_mpi.collisions.es_bgk import REPLACED, TOO_COLD
+from rvm_mpi.kinetic.realisable import REPLACED, TOO_COLD
 from rvm_mpi.compiling.declare import kernel, part
 from rvm_mpi.compiling.simd import fma, load, maximum, minimum, splat, store, total
 from rvm_mpi.grid.velocity import EDGE, SPEED2, VALID

@@ -6,7 +6,8 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from numpy_twins import gaussian, make_grid, make_work, nodes, powers, ten_sums
 
-from rvm_mpi.collisions import es_bgk
+from rvm_mpi.kinetic import gaussian as discrete
+from rvm_mpi.kinetic import realisable
 from rvm_mpi.step.data import kernel_grid
 
 SETTINGS = settings(max_examples=40, deadline=None)
@@ -58,7 +59,7 @@ def run_gaussian(grid, density, mean, tensor):
     six, moments = packed(tensor), np.zeros(10)
     work.gaussian.block[:] = 7.0
     mean = np.asarray(mean, dtype=float)
-    status = es_bgk.discrete_gaussian(density, mean, six, kernel, work.fit, work.gaussian.block, moments)
+    status = discrete.discrete_gaussian(density, mean, six, kernel, work.fit, work.gaussian.block, moments)
     return status, grid.unpack(work.gaussian.block), six, moments
 
 
@@ -80,11 +81,11 @@ def test_ten_moments_are_met(points, seed):
     tensor = random_tensor(rng, d, 0.9, 2.0) * max(grid.spacing[:d]) ** 2 / 2.5
     density = float(10.0 ** rng.uniform(-6, 3))
     status, g, six, moments = run_gaussian(grid, density, mean, tensor)
-    if status == es_bgk.REPLACED:
+    if status == realisable.REPLACED:
         assert any(tensor[q, q] < least(grid, mean[q], q) + 0.0101 * grid.spacing[q] ** 2 for q in range(d))
         tensor = unpacked(six)
     else:
-        assert status == es_bgk.EXACT
+        assert status == realisable.EXACT
         np.testing.assert_array_equal(six, packed(tensor))
     assert g.min() > 0.0
     assert_has_moments(grid, g, density, mean, unpacked(packed(tensor[:d, :d])))
@@ -103,7 +104,7 @@ def test_node_by_node(points, seed):
     d = len(points)
     mean, tensor = random_mean(rng, d, 0.4), random_tensor(rng, d, 1.0, 2.5, 0.3)
     status, g, _six, _moments = run_gaussian(grid, 0.7, mean, tensor)
-    assert status == es_bgk.EXACT
+    assert status == realisable.EXACT
     np.testing.assert_allclose(g, gaussian(grid, 0.7, mean, tensor), rtol=1e-9)
 
 
@@ -121,7 +122,7 @@ def test_an_axis_too_cold_for_the_grid_borrows_from_the_others(points, seed):
     factor[cold] = np.sqrt(0.5 * least(grid, mean[cold], cold) / tensor[cold, cold])
     tensor = factor[:, None] * tensor * factor
     status, g, six, _moments = run_gaussian(grid, 2.0, mean, tensor)
-    assert status == es_bgk.REPLACED
+    assert status == realisable.REPLACED
     left = unpacked(six)
     assert abs(np.trace(left) / np.trace(tensor) - 1.0) < 1e-14
     assert g.min() > 0.0
@@ -133,17 +134,17 @@ def test_an_axis_too_cold_for_the_grid_borrows_from_the_others(points, seed):
 def test_too_cold_or_out_of_the_box(points):
     grid, d = make_grid(points), len(points)
     still = np.zeros(3)
-    assert run_gaussian(grid, 1.0, still, 0.7 * np.eye(d))[0] == es_bgk.TOO_COLD  # nodes at +-0.875: 0.766
-    assert run_gaussian(grid, 1.0, still, 0.8 * np.eye(d))[0] == es_bgk.EXACT
-    assert run_gaussian(grid, 1.0, np.array([6.2, 0, 0]), np.eye(d))[0] == es_bgk.TOO_COLD
-    assert run_gaussian(grid, 1.0, np.array([np.nan, 0, 0]), np.eye(d))[0] == es_bgk.TOO_COLD
-    assert run_gaussian(grid, 1.0, still, np.nan * np.eye(d))[0] >= es_bgk.TOO_COLD
-    assert run_gaussian(grid, 1.0, still, 60.0 * np.eye(d))[0] == es_bgk.FAILED  # hotter than the box
+    assert run_gaussian(grid, 1.0, still, 0.7 * np.eye(d))[0] == realisable.TOO_COLD  # nodes at +-0.875: 0.766
+    assert run_gaussian(grid, 1.0, still, 0.8 * np.eye(d))[0] == realisable.EXACT
+    assert run_gaussian(grid, 1.0, np.array([6.2, 0, 0]), np.eye(d))[0] == realisable.TOO_COLD
+    assert run_gaussian(grid, 1.0, np.array([np.nan, 0, 0]), np.eye(d))[0] == realisable.TOO_COLD
+    assert run_gaussian(grid, 1.0, still, np.nan * np.eye(d))[0] >= realisable.TOO_COLD
+    assert run_gaussian(grid, 1.0, still, 60.0 * np.eye(d))[0] == discrete.FAILED  # hotter than the box
 
 
 def test_a_tensor_that_is_not_positive_fails():
     tensor = np.array([[1.5, 2.0, 0.0], [2.0, 1.5, 0.0], [0.0, 0.0, 1.5]])
-    assert run_gaussian(make_grid((8, 8, 8)), 1.0, np.zeros(3), tensor)[0] == es_bgk.FAILED
+    assert run_gaussian(make_grid((8, 8, 8)), 1.0, np.zeros(3), tensor)[0] == discrete.FAILED
 
 
 @SETTINGS
@@ -151,10 +152,10 @@ def test_a_tensor_that_is_not_positive_fails():
 def test_determinant_and_inverse(seed, d):
     tensor = random_tensor(np.random.default_rng(seed), d, 0.1, 3.0)
     inverse = np.full(6, 9.0)
-    assert es_bgk.determinant(packed(tensor), d) == pytest.approx(np.linalg.det(tensor), rel=1e-12)
-    assert es_bgk.invert_tensor(packed(tensor), d, inverse)
+    assert realisable.determinant(packed(tensor), d) == pytest.approx(np.linalg.det(tensor), rel=1e-12)
+    assert realisable.invert_tensor(packed(tensor), d, inverse)
     np.testing.assert_allclose(inverse, packed(np.linalg.inv(tensor)), rtol=1e-11, atol=1e-13)
-    assert not es_bgk.invert_tensor(packed(-tensor), d, inverse)
+    assert not realisable.invert_tensor(packed(-tensor), d, inverse)
 
 
 @SETTINGS
@@ -165,18 +166,18 @@ def test_smallest_variance_and_the_realisable_tensor(points, seed):
     mean = random_mean(rng, d, 4.0)
     floors = np.array([least(grid, mean[q], q) for q in range(d)])
     for q in range(d):
-        assert es_bgk.smallest_variance(kernel.nodes[q], grid.points[q], mean[q]) == pytest.approx(floors[q], abs=1e-13)
+        assert realisable.smallest_variance(kernel.nodes[q], grid.points[q], mean[q]) == pytest.approx(floors[q], abs=1e-13)
     tensor = random_tensor(rng, d, 0.05, 1.5)
     six = packed(tensor)
-    status = es_bgk.realisable_tensor(mean, six, kernel)
-    raised = floors + es_bgk.ROOM * np.array(grid.spacing[:d]) ** 2
+    status = realisable.realisable_tensor(mean, six, kernel)
+    raised = floors + realisable.ROOM * np.array(grid.spacing[:d]) ** 2
     if np.all(np.diag(tensor) >= raised):
-        assert status == es_bgk.EXACT
+        assert status == realisable.EXACT
         np.testing.assert_array_equal(six, packed(tensor))
     elif np.trace(tensor) <= raised.sum():
-        assert status == es_bgk.TOO_COLD
+        assert status == realisable.TOO_COLD
     else:
-        assert status == es_bgk.REPLACED
+        assert status == realisable.REPLACED
         left = unpacked(six)[:d, :d]
         assert np.trace(left) == pytest.approx(np.trace(tensor), rel=1e-13)
         assert np.all(np.diag(left) >= raised - 1e-13)
@@ -191,7 +192,7 @@ def test_fit_axis(n, mean, variance):
     if variance < 1.05 * least(grid, mean, 0) + 0.02 * grid.spacing[0] ** 2:
         return
     result = np.zeros(3)
-    es_bgk.fit_axis(kernel_grid(grid).nodes[0], n, mean, variance, result)
+    discrete.fit_axis(kernel_grid(grid).nodes[0], n, mean, variance, result)
     s = x - mean
     w = np.exp(result[1] * s + result[0] * s * s)
     assert result[2] == pytest.approx(w.sum(), rel=1e-12)
@@ -210,11 +211,11 @@ def test_gaussian_sums(points, seed):
     block = np.zeros(grid.block)
     grid.unpack(block)[...] = g
     sums = np.zeros(75)
-    es_bgk.gaussian_sums(centre, kernel, block, sums, make_work(kernel).fit.plane)
+    discrete.gaussian_sums(centre, kernel, block, sums, make_work(kernel).fit.plane)
     p = powers(grid, centre)
     wanted = np.einsum("ijk,pijk,qijk->pq", g, p, p)
     scale = np.einsum("ijk,pijk,qijk->pq", g, np.abs(p), np.abs(p))
-    assert np.all(np.abs(sums[es_bgk._PRODUCT] - wanted) <= 1e-14 * scale)
+    assert np.all(np.abs(sums[discrete._PRODUCT] - wanted) <= 1e-14 * scale)
 
 
 def test_gaussian_moments():
@@ -222,7 +223,7 @@ def test_gaussian_moments():
     kernel = kernel_grid(grid)
     theta = np.array([0.2, *(0.1 * rng.normal(size=3)), -0.3, 0.05, -0.04, -0.2, 0.03, -0.4])
     centre, block, moments = np.array([0.3, -0.2, 0.1]), np.zeros(grid.block), np.zeros(10)
-    es_bgk.gaussian_moments(theta, centre, kernel, block, moments)
+    discrete.gaussian_moments(theta, centre, kernel, block, moments)
     wanted = np.exp(np.einsum("p,pijk->ijk", theta, powers(grid, centre)))
     np.testing.assert_allclose(grid.unpack(block), wanted, rtol=1e-12)
     np.testing.assert_allclose(moments, ten_sums(grid, wanted, centre), rtol=1e-11, atol=1e-12 * wanted.sum())
@@ -244,5 +245,5 @@ def test_an_axis_as_cold_as_the_grid_allows(seed, off, room, d):
     factor[0] = np.sqrt((least(grid, mean[0], 0) + room * h * h) / tensor[0, 0])
     tensor = factor[:, None] * tensor * factor
     status, g, six, _moments = run_gaussian(grid, 1.0, mean, tensor)
-    assert status <= es_bgk.REPLACED
+    assert status <= realisable.REPLACED
     assert_has_moments(grid, g, 1.0, mean, unpacked(six))
