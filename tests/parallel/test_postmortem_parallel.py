@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
-from rvm_mpi.output.checkpoint import Checkpoint
+from rvm_mpi.output.restart import Checkpoint
 from rvm_mpi.output.hdf5 import open_alone
 from rvm_mpi.results import read_history
 
