@@ -16,13 +16,13 @@ from typing import Any
 
 import numpy as np
 
-from rvm_mpi.kinetic.gaussian import gaussian_moments
 from rvm_mpi.compiling.declare import kernel
 from rvm_mpi.compiling.simd import splat, store
 from rvm_mpi.grid.domain import aligned
 from rvm_mpi.grid.velocity import VelocityGrid
 from rvm_mpi.kinetic import drift
 from rvm_mpi.kinetic.conservation import weighted_sums
+from rvm_mpi.kinetic.gaussian import gaussian_moments
 from rvm_mpi.kinetic.transport import upper_fluxes
 from rvm_mpi.step.sweep import Work, kernel_grid, mix
 

@@ -230,7 +230,7 @@ def collision_rate(job: Job, density: np.ndarray, temperature: np.ndarray, omega
 
     So many mean collisions as `EXPLICIT_COLLISIONS`, and one of the fastest pair that the operator knows, 2 R apart.
     """
-    if job.collision.operator != "boltzmann" or job.collision.penalise:
+    if not job.collision.explicit or job.collision.penalise:
         return np.zeros_like(density)
     mean = collision_frequency(job, density, temperature)
     return np.maximum(mean / EXPLICIT_COLLISIONS, fastest_rate(job, density, omega))

@@ -101,7 +101,7 @@ def _between(a: float, b: float, share: float) -> float:
 
 def _operator_counts(job: Job) -> bool:
     """Elastic collisions in one dimension exchange velocities: they do nothing."""
-    return job.collision.operator == "boltzmann" and not (job.velocity.dimensions == 1 and job.collision.elastic)
+    return job.collision.explicit and not (job.velocity.dimensions == 1 and job.collision.elastic)
 
 
 def grid_temperatures(job: Job) -> Temperatures:

@@ -129,8 +129,8 @@ def describe(job: Job) -> Iterator[tuple[str, str]]:
 
     The viscosity is right to 0.3 % on all grids measured.
     """
-    operator, classical = job.collision.operator, job.scaling.kind == "none"
-    made = operator != "none" and (job.scheme.drift in DRIFT if not classical else operator != "boltzmann")
+    facts, classical = job.collision.facts, job.scaling.kind == "none"
+    made = facts.relaxes if classical else (facts.relaxes or facts.explicit) and job.scheme.drift in DRIFT
     if job.space.dimensions == 0 or not made:
         return
     temperatures = grid_temperatures(job)

@@ -78,7 +78,7 @@ def operator_seconds(job: Job, ranks: int = 1) -> float:
 
     It takes eight cells at a time: one alone costs as much as eight.
     """
-    if job.collision.operator != "boltzmann":
+    if not job.collision.explicit:
         return 0.0
     n_x, n_y = largest_share(job, ranks)
     points = tuple(job.velocity.points)

@@ -91,10 +91,10 @@ def _cell_rates(job: Job, start: StartFields) -> tuple[CellRates, np.ndarray, np
     drift += growth
     drag, answering = np.zeros(start.omega.shape), np.zeros(start.omega.shape)
     haff = _haff_rate(job, start)
-    if job.collision.operator == "boltzmann" and job.scaling.kind != "none":
+    if job.collision.explicit and job.scaling.kind != "none":
         drift += haff * across  # by d_t omega, which no drag cancels
         answering = time_limits.answering_rate(2 * haff, drift, across)
-    if job.scaling.kind == "none" and job.collision.operator != "boltzmann":
+    if job.scaling.kind == "none" and not job.collision.explicit:
         for axis, h in enumerate(velocity.spacing):
             drag += haff * (velocity.half_width[axis] + np.abs(start.velocity[..., axis])) / h
         drift += drag
@@ -124,7 +124,7 @@ def check_first_step(job: Job) -> None:
     """
     with np.errstate(over="ignore"):
         first = first_step(job)
-        if job.collision.operator == "boltzmann":
+        if job.collision.explicit:
             start = start_fields(job)
             rates = time_limits.collision_frequency(job, start.density, start.temperature)
             rates = rates + time_limits.fastest_rate(job, start.density, start.omega)

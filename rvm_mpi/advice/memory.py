@@ -63,7 +63,7 @@ def memory(job: Job, ranks: int = 1) -> Memory:
         return (n_x + 2 * wx) * (n_y + 2 * wy)
 
     operator, weights = 0.0, 0.0
-    if job.collision.operator == "boltzmann":
+    if job.collision.explicit:
         rows = Rows.create(tuple(job.velocity.points))
         operator, weights = 8.0 * (n_x * n_y + 60) * block + rows.nbytes, float(rows.weight_bytes)
     return Memory(
@@ -103,7 +103,7 @@ def check_weights(job: Job, available: float | None = None) -> None:
     JobError
         With their size and the largest grid of the same shape that would fit.
     """
-    if job.collision.operator != "boltzmann":
+    if not job.collision.explicit:
         return
     if available is None:
         available = float(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))

@@ -22,14 +22,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import prod
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pyfftw
 
+from rvm_mpi.collisions.weight_store import shared_weights
 from rvm_mpi.collisions.weights import SUPPORT, Rows, block_kind, compute_weights, kernel_scale
 from rvm_mpi.compiling.declare import kernel, part
 from rvm_mpi.compiling.simd import LANES, apart, collect, distribute, load, splat, spread, store, together
+
+if TYPE_CHECKING:
+    from rvm_mpi.job.job import Job
 
 #: nodes of all cells in a lane of a batch: short enough for the cache, long enough for calls to be cheap
 BATCH_NODES = 2048
@@ -371,3 +375,15 @@ class BoltzmannOperator:
             for transform in backward[:groups]:
                 transform.execute()
             from_lanes(work["lanes"], first, groups, factor, work["scale"], places, work["factors"], out)
+
+
+def for_job(job: Job, comm: Any, half_width: float) -> BoltzmannOperator:
+    """The operator of a job on a grid of this half width; its weights are shared by the ranks of a node."""
+    collision = job.collision
+    assert collision.exponent is not None and collision.cross_section is not None
+    points = tuple(job.velocity.points)
+    restitution = 1.0 if collision.restitution is None else collision.restitution
+    weights = shared_weights(comm, points, restitution, collision.exponent)
+    return BoltzmannOperator.create(
+        points, half_width, restitution, collision.exponent, collision.cross_section, weights
+    )

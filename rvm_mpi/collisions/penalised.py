@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import math
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from rvm_mpi import time_limits
-from rvm_mpi.collisions.boltzmann import BoltzmannOperator
-from rvm_mpi.collisions.weight_store import shared_weights
 from rvm_mpi.compiling.declare import kernel
 from rvm_mpi.compiling.simd import LANES, fma, load, splat, total
 from rvm_mpi.grid.velocity import Y, Z
@@ -61,7 +60,8 @@ def _heat(source, sums, grid, factor, heating):  # type: ignore[no-untyped-def]
 class ExplicitOperator:
     """The rate of g by an operator that is taken explicitly, for the cells of a rank.
 
-    With a penalisation it is that of the operator less a relaxation, which is put back implicitly.
+    The operator is made by `for_job` in the file of this room that has its name in a job file. With a penalisation the
+    rate is that of the operator less a relaxation, which is put back implicitly.
 
     Parameters
     ----------
@@ -84,19 +84,8 @@ class ExplicitOperator:
     """
 
     def __init__(self, job: Job, comm: Any, half_width: float, cells: tuple[int, int], block: int) -> None:
-        collision = job.collision
-        assert collision.exponent is not None and collision.cross_section is not None
         self.job = job
-        points = tuple(job.velocity.points)
-        restitution = 1.0 if collision.restitution is None else collision.restitution
-        self._operator = BoltzmannOperator.create(
-            points,
-            half_width,
-            restitution,
-            collision.exponent,
-            collision.cross_section,
-            shared_weights(comm, points, restitution, collision.exponent),
-        )
+        self._operator = import_module(f"rvm_mpi.collisions.{job.collision.operator}").for_job(job, comm, half_width)
         self.source, self.heating = np.zeros((*cells, block)), np.zeros(cells)
         self._penalty, self._slowing = np.zeros(cells), np.ones(cells)
 

@@ -12,25 +12,19 @@ from rvm_mpi.job.updates import updated
 ROUNDED = 2e-4
 """Relative distance at which a Prandtl number just below its bound counts as that bound, rounded (0.6666)."""
 
-_COLLISION_KEYS = {
-    "none": (),
-    "es-bgk": ("knudsen", "prandtl", "relaxation", "cross_section"),
-    "granular-es-bgk": ("knudsen", "restitution", "prandtl", "relaxation", "cross_section"),
-    "boltzmann": ("knudsen", "restitution", "cross_section", "exponent", "method", "penalise", "coarse"),
-}
-
 
 def resolve_collision(given: Collision, d: int) -> Collision:
     """The collision operator with every key that it uses; KeyProblem for one that it does not."""
     operator = given.operator
-    used = _COLLISION_KEYS[operator]
+    facts = given.facts
+    used = facts.keys
     for name in Collision.model_fields:
         value = getattr(given, name)
         if name == "operator" or value is None or name in used:
             continue
         if name == "restitution" and value == 1.0:
             continue
-        hint = "granular-es-bgk" if name == "restitution" and operator == "es-bgk" else ""
+        hint = "granular-es-bgk" if name == "restitution" and facts.relaxes else ""
         raise KeyProblem(
             f"collision.{name}", f'not used by "{operator}"', value, ", ".join(("operator", *used)), hint
         )
@@ -39,10 +33,10 @@ def resolve_collision(given: Collision, d: int) -> Collision:
             raise KeyProblem(
                 f"collision.{name}", "must be given", allowed=Collision.model_fields[name].description or ""
             )
-    if operator == "none":
-        return Collision(operator="none")
+    if not used:
+        return Collision(operator=operator)
     cross_section = given.cross_section or (0.25 if d == 3 else 1.0)
-    if operator == "boltzmann":
+    if facts.explicit:
         exponent = 1.0 if given.exponent is None else given.exponent
         resolved = updated(
             given, cross_section=cross_section, exponent=exponent, method=given.method or "direct",
@@ -51,7 +45,7 @@ def resolve_collision(given: Collision, d: int) -> Collision:
     else:
         exponent = 1.0
         resolved = _resolve_relaxation(given, cross_section, d)
-    if operator == "es-bgk":
+    if not facts.dissipates:
         resolved = updated(resolved, restitution=None, cross_section=None)
     if not resolved.elastic:
         assert resolved.knudsen is not None and resolved.restitution is not None
@@ -66,10 +60,10 @@ def _resolve_relaxation(given: Collision, cross_section: float, d: int) -> Colli
     """Prandtl number and relaxation rate of the ES-BGK family; by default the hard spheres' own."""
     prandtl = _prandtl(given.prandtl, d)
     relaxation = given.relaxation
-    if relaxation is not None and given.cross_section is not None and given.operator == "es-bgk":
+    if relaxation is not None and given.cross_section is not None and not given.facts.dissipates:
         raise KeyProblem(
             "collision.cross_section",
-            'not used by "es-bgk" beside collision.relaxation',
+            f'not used by "{given.operator}" beside collision.relaxation',
             given.cross_section,
             "one of the two",
         )

@@ -185,7 +185,7 @@ def check_source(job: Job, name: str, overrides: Iterable[str] = ()) -> None:
 
 
 def _resolve_two_gaussians(state: TwoGaussians, space: Space, d: int, collision: Collision) -> TwoGaussians:
-    if collision.operator != "boltzmann":
+    if not collision.explicit:
         raise KeyProblem(
             "initial.state",
             f'"two-gaussians" does not fit the operator "{collision.operator}"',
@@ -202,7 +202,7 @@ def _resolve_two_gaussians(state: TwoGaussians, space: Space, d: int, collision:
 
 
 def _resolve_bkw(state: Bkw, space: Space, d: int, collision: Collision) -> Bkw:
-    if collision.operator != "boltzmann" or collision.exponent != 0.0 or not collision.elastic:
+    if not collision.explicit or collision.exponent != 0.0 or not collision.elastic:
         raise KeyProblem(
             "initial.state",
             '"bkw" does not fit this collision operator',

@@ -57,7 +57,7 @@ def _check_choices(job: Job) -> None:
         raise KeyProblem(
             "scaling.synchronise", "no cell sets an automatic rate without space", "auto", "a rate >= 0"
         )
-    if job.collision.operator == "boltzmann":
+    if job.collision.explicit:
         if len(set(job.velocity.half_width)) > 1:
             raise KeyProblem(
                 "velocity.half_width",

@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 import sys
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
 from pydantic import BeforeValidator, Discriminator, Field, PlainValidator, PrivateAttr, Tag, model_validator
 
@@ -168,6 +168,48 @@ class Scaling(Section):
     )
 
 
+class OperatorFacts(NamedTuple):
+    """What the rest of the program asks of a collision operator.
+
+    Attributes
+    ----------
+    keys : tuple of str
+        Those of `[collision]` that it uses beside its name.
+    relaxes : bool
+        Whether g relaxes to a Gaussian at a rate of its own, implicitly.
+    explicit : bool
+        Whether it gives a rate of g that is taken explicitly (`collisions.EXPLICIT`).
+    dissipates : bool
+        Whether it can take energy.
+    """
+
+    keys: tuple[str, ...]
+    relaxes: bool
+    explicit: bool
+    dissipates: bool
+
+
+#: by the name in the job file
+OPERATORS = {
+    "none": OperatorFacts((), relaxes=False, explicit=False, dissipates=False),
+    "es-bgk": OperatorFacts(
+        ("knudsen", "prandtl", "relaxation", "cross_section"), relaxes=True, explicit=False, dissipates=False
+    ),
+    "granular-es-bgk": OperatorFacts(
+        ("knudsen", "restitution", "prandtl", "relaxation", "cross_section"),
+        relaxes=True,
+        explicit=False,
+        dissipates=True,
+    ),
+    "boltzmann": OperatorFacts(
+        ("knudsen", "restitution", "cross_section", "exponent", "method", "penalise", "coarse"),
+        relaxes=False,
+        explicit=True,
+        dissipates=True,
+    ),
+}
+
+
 class Relaxation(Section):
     """Relaxation rate tau(rho, T) = coefficient rho^density_power T^temperature_power."""
 
@@ -205,6 +247,16 @@ class Collision(Section):
     )
 
     _cooling: float = PrivateAttr(0.0)
+
+    @property
+    def facts(self) -> OperatorFacts:
+        """What is asked of the operator."""
+        return OPERATORS[self.operator]
+
+    @property
+    def explicit(self) -> bool:
+        """Whether the operator gives a rate of g that is taken explicitly."""
+        return self.facts.explicit
 
     @property
     def elastic(self) -> bool:

@@ -1,8 +1,8 @@
 """Which temperature tensors a velocity grid can hold, and the nearest to one that it cannot.
 
 Along an axis with nodes x_j <= u <= x_{j+1} around the mean no positive grid function has less variance than
-(u - x_j)(x_{j+1} - u). Where that forbids a tensor, the variance of that axis is raised to what can be held and the other
-axes give the difference, which keeps rho, u and T.
+(u - x_j)(x_{j+1} - u). Where that forbids a tensor, the variance of that axis is raised to what can be held and
+the other axes give the difference, which keeps rho, u and T.
 """
 
 from __future__ import annotations

@@ -16,9 +16,9 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+from rvm_mpi.compiling.declare import kernel, part
 from rvm_mpi.kinetic.gaussian import fit_axis
 from rvm_mpi.kinetic.realisable import ROOM, smallest_variance
-from rvm_mpi.compiling.declare import kernel, part
 
 SPECULAR, MAXWELL, FAR_FIELD, OUTFLOW, VACUUM = range(5)
 KINDS = {

@@ -13,7 +13,7 @@ DEEPEST = 1e12
 
 def cooling(p: Problem) -> float:
     """C/eps of the granular drag; the Boltzmann operator's loss of energy is its own."""
-    return 0.0 if p.job.collision.operator == "boltzmann" else p.job.collision.cooling
+    return 0.0 if p.job.collision.explicit else p.job.collision.cooling
 
 
 def haff(p: Problem, U: Array, dt: float) -> Array:
@@ -69,7 +69,7 @@ def finished(
     """
     known, first, last = weights
     W, share = known + last, first + last
-    spectral, conservative = p.job.collision.operator == "boltzmann", bool(p.job.scheme.conservative)
+    spectral, conservative = p.job.collision.explicit, bool(p.job.scheme.conservative)
     if conservative and not spectral:
         explicit = corrected(p, explicit, known * wanted - first * before)
     rho, u = wanted[0], wanted[1 : 1 + p.d] / wanted[0]

@@ -84,7 +84,7 @@ def step(p: Problem, state: State, dt: float, omega_end: Array | None = None) ->
         Where the velocity grid cannot hold a Gaussian, or Newton's method does not find it.
     """
     end = state.omega if omega_end is None else omega_end
-    penalty = penalisation(p, state, dt) if p.job.collision.operator == "boltzmann" else None
+    penalty = penalisation(p, state, dt) if p.job.collision.explicit else None
     given = Given(end, np.log(end / state.omega) / dt, penalty)
     depth = None if penalty is None else dt * penalty[0]
     now = state

@@ -11,6 +11,7 @@ from typing import Any
 from rvm_mpi.compiling.declare import all_compiled, note_all_compiled
 from rvm_mpi.job.job import Job
 
+_SHORT = {"initial": {"state": "uniform"}, "time": {"end": 1e-3, "max_steps": 1}}
 _WALL = {"kind": "maxwell", "accommodation": 0.5}
 _GAS = {"operator": "granular-es-bgk", "knudsen": 0.1, "restitution": 0.9}
 _SPHERES = {"operator": "boltzmann", "knudsen": 1.0, "restitution": 0.9, "penalise": True}
@@ -70,7 +71,7 @@ def compile_kernels(say: Callable[[str], None]) -> None:
     for number, (what, jobs) in enumerate(JOBS.items(), 1):
         say(f"compiling kernels, {number} of {len(JOBS)}: {what}")
         for tables in jobs:
-            job = Job.from_dict({"initial": {"state": "uniform"}, "time": {"end": 1e-3, "max_steps": 1}, **tables}, name="compile")
+            job = Job.from_dict({**_SHORT, **tables}, name="compile")
             simulation = Simulation(job, comm=MPI.COMM_SELF)
             simulation.advance()
             simulation.snapshot()

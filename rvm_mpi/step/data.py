@@ -9,12 +9,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rvm_mpi.kinetic.gaussian import Fit, Gaussian
 from rvm_mpi.compiling.declare import part
 from rvm_mpi.grid.domain import aligned
 from rvm_mpi.grid.velocity import VelocityGrid, Y
 from rvm_mpi.kinetic import drift
 from rvm_mpi.kinetic.conservation import SUMS, Correction
+from rvm_mpi.kinetic.gaussian import Fit, Gaussian
 from rvm_mpi.kinetic.transport import PIECE, Strips
 
 #: what a cell's `status` says

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 
-from rvm_mpi.kinetic.gaussian import discrete_gaussian
-from rvm_mpi.kinetic.realisable import EXACT, REPLACED
 from rvm_mpi.compiling.declare import part
 from rvm_mpi.compiling.simd import fma, load, splat, store
 from rvm_mpi.kinetic.drift import Mix, apply
+from rvm_mpi.kinetic.gaussian import discrete_gaussian
+from rvm_mpi.kinetic.realisable import EXACT, REPLACED
 from rvm_mpi.step.relaxation import blend
 from rvm_mpi.time_limits import FITS
 

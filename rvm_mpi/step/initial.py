@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from rvm_mpi.kinetic.gaussian import discrete_gaussian
-from rvm_mpi.kinetic.realisable import EXACT
 from rvm_mpi.compiling.declare import kernel
 from rvm_mpi.grid.velocity import VelocityGrid
 from rvm_mpi.kinetic.conservation import SUMS, correct
+from rvm_mpi.kinetic.gaussian import discrete_gaussian
+from rvm_mpi.kinetic.realisable import EXACT
 from rvm_mpi.states import distribution
 from rvm_mpi.step.data import Space, here, kernel_grid, lay_out, work_space
 from rvm_mpi.units import GasUnits

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from rvm_mpi.kinetic.gaussian import discrete_gaussian, discrete_maxwellian
-from rvm_mpi.kinetic.realisable import EXACT, REPLACED
 from rvm_mpi.compiling.declare import part
 from rvm_mpi.compiling.simd import fma, load, store
 from rvm_mpi.kinetic.conservation import add_correction, correct, no_factor, weighted_sums
+from rvm_mpi.kinetic.gaussian import discrete_gaussian, discrete_maxwellian
+from rvm_mpi.kinetic.realisable import EXACT, REPLACED
 from rvm_mpi.units import power as plain_power
 
 #: greatest depth dt tau/eps of a relaxation. A deeper one differs from the limit eps -> 0 by less than 1/DEEPEST, but 1

@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from rvm_mpi import time_limits
-from rvm_mpi.kinetic.realisable import EXACT
 from rvm_mpi.collisions.penalised import ExplicitOperator
 from rvm_mpi.grid.velocity import VelocityGrid
 from rvm_mpi.job.job import JobError
 from rvm_mpi.kinetic.moments import fields, sums_about
+from rvm_mpi.kinetic.realisable import EXACT
 from rvm_mpi.states import distribution
 from rvm_mpi.step import fit, scheme
 from rvm_mpi.step.data import (
@@ -453,11 +453,11 @@ def _model(job: Job) -> Model:
         conservative=bool(job.scheme.conservative),
         carried=job.scaling.kind == "kinetic" or bool(job.scheme.conservative),
         relaxes=collisions,
-        explicit=collision.operator == "boltzmann",
+        explicit=collision.explicit,
         nu=1.0 - 1.0 / prandtl if collisions and prandtl is not None else 0.0,
         relaxation=law.coefficient / knudsen if law is not None and knudsen is not None else 0.0,
         density_power=law.density_power if law is not None else 0.0,
         temperature_power=law.temperature_power if law is not None else 0.0,
-        cooling=0.0 if collision.operator == "boltzmann" else collision.cooling,
+        cooling=0.0 if collision.explicit else collision.cooling,
         courant=job.time.cfl or POSITIVE,
     )

@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import math
 
-from rvm_mpi.kinetic.realisable import REPLACED, TOO_COLD
 from rvm_mpi.compiling.declare import kernel, part
 from rvm_mpi.compiling.simd import fma, load, maximum, minimum, splat, store, total
 from rvm_mpi.grid.velocity import EDGE, SPEED2, VALID
 from rvm_mpi.kinetic.drift import Mix
+from rvm_mpi.kinetic.realisable import REPLACED, TOO_COLD
 from rvm_mpi.kinetic.transport import UpperFaces, upper_fluxes
 from rvm_mpi.step.carried import carry, mean_drag, net_rates, state_of, step_cooling
 from rvm_mpi.step.data import (

@@ -148,7 +148,7 @@ def test_restart_and_overwrite_together(place):
 @pytest.mark.parametrize(
     ("arguments", "named"),
     [
-        ((), "run|check|info|compare|bench"),
+        ((), "run|check|info|compare|compile|bench"),
         (("rnu",), "rnu"),
         (("run",), "JOB.toml"),
         (("check",), "--states"),

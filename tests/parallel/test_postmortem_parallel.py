@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
-from rvm_mpi.output.restart import Checkpoint
 from rvm_mpi.output.hdf5 import open_alone
+from rvm_mpi.output.restart import Checkpoint
 from rvm_mpi.results import read_history
 
 PROGRAM = Path(__file__).with_name("postmortem_program.py")

@@ -7,10 +7,10 @@ from hypothesis import strategies as st
 
 from rvm_mpi import Simulation
 from rvm_mpi.advice import start, velocity_grid
-from rvm_mpi.kinetic import realisable
 from rvm_mpi.commands.main import main
 from rvm_mpi.grid.velocity import VelocityGrid
 from rvm_mpi.job.job import Job, JobError
+from rvm_mpi.kinetic import realisable
 from rvm_mpi.step import fit
 from rvm_mpi.step.failure import NumericalFailure
 
@@ -21,7 +21,7 @@ def test_the_rule_is_that_of_the_discrete_gaussian(points, width, where):
     assert np.array_equal(nodes[:points], fit.nodes_of(points, width))
     mean = where * nodes[points - 1]
     h = nodes[1] - nodes[0]
-    kernels = realisable.smallest_variance.plain(nodes, points, mean) + realisable.ROOM * h * h
+    kernels = realisable.smallest_variance.py_func(nodes, points, mean) + realisable.ROOM * h * h
     least = float(fit.least_variance(points, width, np.array(mean)))
     assert kernels < least <= kernels + 2e-12 * h * h
     assert least <= fit.holds_anywhere(h) * (1 + 1e-12)

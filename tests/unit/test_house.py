@@ -19,14 +19,9 @@ ROOMS = [
 ]  # fmt: skip
 
 #: importer and imported
-UPWARD: set[tuple[str, str]] = {
-    ("collisions.es_bgk", "step.fit"),
-    ("collisions.penalised", "time_limits"),
-    ("kinetic.walls", "collisions.es_bgk"),
-    ("kinetic.walls", "step.fit"),
-}
-CIRCLES: set[tuple[str, ...]] = {("collisions.es_bgk", "step.data", "step.fit", "step.initial")}
-LONG: set[str] = {"collisions.es_bgk", "step.stepper"}
+UPWARD: set[tuple[str, str]] = {("collisions.penalised", "time_limits")}
+CIRCLES: set[tuple[str, ...]] = set()
+LONG: set[str] = {"step.stepper"}
 MANY_ARGUMENTS: set[str] = {
     "collisions.boltzmann.add_line",
     "collisions.boltzmann.add_pairs",

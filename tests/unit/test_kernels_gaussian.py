@@ -166,7 +166,8 @@ def test_smallest_variance_and_the_realisable_tensor(points, seed):
     mean = random_mean(rng, d, 4.0)
     floors = np.array([least(grid, mean[q], q) for q in range(d)])
     for q in range(d):
-        assert realisable.smallest_variance(kernel.nodes[q], grid.points[q], mean[q]) == pytest.approx(floors[q], abs=1e-13)
+        found = realisable.smallest_variance(kernel.nodes[q], grid.points[q], mean[q])
+        assert found == pytest.approx(floors[q], abs=1e-13)
     tensor = random_tensor(rng, d, 0.05, 1.5)
     six = packed(tensor)
     status = realisable.realisable_tensor(mean, six, kernel)
