@@ -26,7 +26,6 @@ from rvm_mpi.measure import (
     MAXIMUM,
     MEAN,
     MINIMUM,
-    NOTHING,
     NUMBER,
     RUN,
     RUNNING,
@@ -130,7 +129,7 @@ COLUMNS = (
         fluid=True,
     ),
     Column(
-        "dissipated_energy", RUNNING, lambda here: NOTHING if here.report is None else here.report.dissipated, _ENERGY,
+        "dissipated_energy", RUNNING, lambda here: np.zeros(0) if here.report is None else here.report.dissipated, _ENERGY,
         "energy that collisions took", size="energy",
     ),
     Column(

@@ -12,8 +12,6 @@ if TYPE_CHECKING:
     from rvm_mpi.simulation import Simulation
     from rvm_mpi.step.stepper import StepReport
 
-NOTHING: np.ndarray = np.zeros(0)
-
 
 class Local:
     """What this rank has to measure after a step; arrays are (ny, nx) of its cells.
@@ -49,7 +47,8 @@ class Local:
     def entered(self, side: str, part: int) -> np.ndarray:
         """What entered through this rank's faces of a side in the step: entry `part` of `state`, over the volume."""
         through = None if self.report is None else self.report.entered.get(side)
-        return NOTHING if through is None else through[:, part]
+        # an array of its own each time: arrays that columns share are summed once, and ranks must agree which those are
+        return np.zeros(0) if through is None else through[:, part]
 
     def extreme_g(self, which: str) -> float:
         """The "smallest" or "largest" value of g."""

@@ -39,7 +39,7 @@ JOBS: dict[str, tuple[dict[str, Any], ...]] = {
             "space": {"cells": [4, 4], "boundary": {"x": "outflow", "y": _WALL}},
             "velocity": {"points": [8, 8]},
             "collision": _GAS,
-            "fluid": {"enabled": True},
+            "scaling": {"kind": "macroscopic", "synchronise": 1.0},
         },
     ),
     "the Boltzmann operator": (
