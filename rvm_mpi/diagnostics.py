@@ -129,8 +129,8 @@ COLUMNS = (
         fluid=True,
     ),
     Column(
-        "dissipated_energy", RUNNING, lambda here: np.zeros(0) if here.report is None else here.report.dissipated, _ENERGY,
-        "energy that collisions took", size="energy",
+        "dissipated_energy", RUNNING, lambda here: here.dissipated(), _ENERGY, "energy that collisions took",
+        size="energy",
     ),
     Column(
         "entered_mass_{side}", RUNNING, lambda here, side: here.entered(side, 0), _MASS,

@@ -50,6 +50,10 @@ class Local:
         # an array of its own each time: arrays that columns share are summed once, and ranks must agree which those are
         return np.zeros(0) if through is None else through[:, part]
 
+    def dissipated(self) -> np.ndarray:
+        """Energy per volume that collisions took in the step."""
+        return np.zeros(0) if self.report is None else self.report.dissipated
+
     def extreme_g(self, which: str) -> float:
         """The "smallest" or "largest" value of g."""
         if self.report is not None:
