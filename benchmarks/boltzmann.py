@@ -117,7 +117,7 @@ def kinetic_part(points):
 
 def measure(points):
     kinetic = kinetic_part(points)
-    op = kinetic._operator
+    op = kinetic._operator._operator
     many = max(CELLS, 2 * BATCH_NODES // prod(points) * LANES)
     g = np.random.default_rng(1).random((many, *points))
     out = np.empty_like(g)
@@ -130,7 +130,7 @@ def measure(points):
         "few": (lambda: op.collide(g[:CELLS], out[:CELLS]), CELLS),
         "many": (lambda: op.collide(g, out), many),
         "one": (lambda: op.collide(g[:1], out[:1]), 1),
-        "stage": (lambda: kinetic._collide(kinetic.g, kinetic.now), CELLS),
+        "stage": (lambda: kinetic._operator.collide(kinetic, kinetic.g, kinetic.now), CELLS),
         "sum": (lambda: sums(count, *pairs, *modes), count * LANES),
         "copy": (lambda: copies(COPIES, source, target), COPIES * 2 * source.nbytes),
         "fma": (lambda: _multiply_add(MULTIPLY_ADDS, 0.5, sink), MULTIPLY_ADDS * 128 / 2),

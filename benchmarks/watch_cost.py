@@ -15,7 +15,8 @@ from numba import njit
 
 from rvm_mpi import Job, Simulation
 from rvm_mpi.grid.domain import aligned
-from rvm_mpi.step import sweep as stage
+from rvm_mpi.step.data import lay_out, work_space
+from rvm_mpi.step.sweep import mix
 
 POINTS = [24, 24, 8]
 JOB = {
@@ -30,12 +31,9 @@ REPEATED = 100
 
 
 @njit
-def repeat(grid, block, ones_x, ones_slab, gaussian, out, watched, extremes):
+def repeat(grid, work, out, watched):
     for _ in range(REPEATED):
-        stage.mix(
-            block, ones_x, ones_slab, 1.0, gaussian, 0.5, grid.points[0], grid.slab_size, grid.x, grid.slab, out, 0,
-            watched, extremes,
-        )  # fmt: skip
+        mix(grid, work, 1.0, 0.5, out, 0, watched)
 
 
 def best_of(times: int, *actions) -> list[float]:
@@ -52,11 +50,10 @@ def best_of(times: int, *actions) -> list[float]:
 def main() -> None:
     simulation = Simulation(Job.from_dict(JOB))
     grid, nodes = simulation.kinetic.grid, np.prod(POINTS)
-    block, gaussian, out = (aligned((grid.block,)) for _ in range(3))
-    block[:], gaussian[:] = np.random.default_rng(1).random((2, grid.block))
-    given = (grid, block, np.ones(POINTS[0]), np.ones(grid.slab_size), gaussian, out)
-    extremes = np.zeros(16)
-    on, off = best_of(200, lambda: repeat(*given, True, extremes), lambda: repeat(*given, False, extremes))
+    out, work = aligned((grid.block,)), lay_out.py_func(grid, 1, work_space(grid, 1))[0]
+    work.result[:], work.gaussian.block[:] = np.random.default_rng(1).random((2, grid.block))
+    work.correction.factor_x[:], work.correction.factor_slab[:] = 1.0, 1.0
+    on, off = best_of(200, lambda: repeat(grid, work, out, True), lambda: repeat(grid, work, out, False))
     extra = (on - off) / (REPEATED * nodes)
     step = best_of(20, simulation.advance)[0] / (nodes * 144)
     print(f"the kernel: {1e9 * extra:.3f} ns a node more when watched")

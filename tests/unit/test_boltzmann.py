@@ -152,19 +152,20 @@ def test_a_stage_takes_the_operator_and_its_loss_of_energy():
     }  # fmt: skip
     kinetic = Simulation(Job.from_dict(job, name="stage")).kinetic
     grid, omega = kinetic.velocity_grid, kinetic.omega
-    kinetic._collide(kinetic.g, kinetic.now)
-    g = grid.unpack(kinetic._interior(kinetic.g))
+    operator = kinetic._operator
+    operator.collide(kinetic, kinetic.g, kinetic.now)
+    g = grid.unpack(kinetic.inside(kinetic.g))
     q = np.empty((20, 12, 11, 10))
-    kinetic._operator.collide(g.reshape(q.shape), q)
+    operator._operator.collide(g.reshape(q.shape), q)
     q = q.reshape(g.shape) * (omega**exponent / eps)[..., None, None, None]
-    np.testing.assert_allclose(grid.unpack(kinetic._source), q, rtol=1e-13, atol=1e-14 * np.abs(q).max())
+    np.testing.assert_allclose(grid.unpack(operator.source), q, rtol=1e-13, atol=1e-14 * np.abs(q).max())
     axes = (np.arange(n) * 2 + 1 - n for n in (12, 11, 10))
     xi = np.stack(np.meshgrid(*(a * 6.5 / len(a) for a in axes), indexing="ij"), axis=-1)
     mean = np.einsum("yxabc,abcd->yxd", g, xi) / g.sum(axis=(2, 3, 4))[..., None]
     square = ((xi - mean[:, :, None, None, None]) ** 2).sum(axis=-1)
     expected = 0.5 * grid.weight * omega**2 * (square * q).sum(axis=(2, 3, 4))
     assert (expected < 0).all() and np.ptp(expected) > 0.1 * np.abs(expected).max()
-    np.testing.assert_allclose(kinetic._heating, expected, rtol=1e-12)
+    np.testing.assert_allclose(operator.heating, expected, rtol=1e-12)
 
 
 # ---- the sum
