@@ -54,9 +54,8 @@ class Local:
         """The "smallest" or "largest" value of g."""
         if self.report is not None:
             return float(getattr(self.report, which))
-        kinetic, (nx, ny) = self.run.kinetic, self.run.domain.local
-        wy, wx = kinetic.space.wy, kinetic.space.wx
-        g = kinetic.velocity_grid.unpack(kinetic.g[wy : wy + ny, wx : wx + nx])
+        kinetic = self.run.kinetic
+        g = kinetic.velocity_grid.unpack(kinetic.inside(kinetic.g))
         return float(g.min() if which == "smallest" else g.max()) * kinetic.units.g
 
     def box_share(self, which: int) -> float:

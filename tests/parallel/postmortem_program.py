@@ -28,7 +28,7 @@ def main():
     def poisoned(self):
         (i0, j0), (nx, ny) = self.domain.start, self.domain.local
         if self.number + 1 == step and 0 <= i - i0 < nx and 0 <= j - j0 < ny:
-            self.kinetic._interior(self.kinetic.g)[j - j0, i - i0, 20] = math.nan
+            self.kinetic.inside(self.kinetic.g)[j - j0, i - i0, 20] = math.nan
         return advance(self)
 
     Simulation.advance = poisoned

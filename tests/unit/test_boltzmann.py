@@ -153,7 +153,7 @@ def test_a_stage_takes_the_operator_and_its_loss_of_energy():
     kinetic = Simulation(Job.from_dict(job, name="stage")).kinetic
     grid, omega = kinetic.velocity_grid, kinetic.omega
     kinetic._collide(kinetic.g, kinetic.now)
-    g = grid.unpack(kinetic._interior(kinetic.g))
+    g = grid.unpack(kinetic.inside(kinetic.g))
     q = np.empty((20, 12, 11, 10))
     kinetic._operator.collide(g.reshape(q.shape), q)
     q = q.reshape(g.shape) * (omega**exponent / eps)[..., None, None, None]

@@ -51,7 +51,7 @@ def test_poisoned_g_is_caught_in_the_next_step_and_its_place_named(name, cells, 
     simulation = Simulation(make_job(name, cells))
     simulation.advance()
     cell = (3, 2)[: len(cells)] + (0, 0)[: 2 - len(cells)]
-    blocks = simulation.kinetic.velocity_grid.unpack(simulation.kinetic._interior(simulation.kinetic.g))
+    blocks = simulation.kinetic.velocity_grid.unpack(simulation.kinetic.inside(simulation.kinetic.g))
     blocks[cell[1], cell[0], 5, 7, 0] = value
     with pytest.raises(NumericalFailure) as caught:
         simulation.advance()
@@ -72,7 +72,7 @@ def poison_from(step, cell, patch):
         if self.number + 1 == step:
             (i0, j0), (nx, ny) = self.domain.start, self.domain.local
             if 0 <= cell[0] - i0 < nx and 0 <= cell[1] - j0 < ny:
-                self.kinetic._interior(self.kinetic.g)[cell[1] - j0, cell[0] - i0, 7] = math.nan
+                self.kinetic.inside(self.kinetic.g)[cell[1] - j0, cell[0] - i0, 7] = math.nan
         return advance(self)
 
     patch.setattr(Simulation, "advance", poisoned)
@@ -107,7 +107,7 @@ def test_the_file(tmp_path, monkeypatch, capsys):
         for name in ("density", "velocity", "temperature"):
             np.testing.assert_allclose(cell["start"][name], moments[name][j, i], rtol=1e-12, atol=1e-14)
         assert cell["start"]["omega"] == undisturbed.kinetic.omega[j, i]
-    g = undisturbed.kinetic.velocity_grid.unpack(undisturbed.kinetic._interior(undisturbed.kinetic.g))[1, 4, :, :, 0]
+    g = undisturbed.kinetic.velocity_grid.unpack(undisturbed.kinetic.inside(undisturbed.kinetic.g))[1, 4, :, :, 0]
     kept = np.array(found["g"]["stage"], dtype=float)
     assert np.argwhere(np.isnan(kept)).tolist() == [[0, 7]]
     assert np.array_equal(kept[1:], g[1:])

@@ -28,7 +28,7 @@ def shares(simulation):
     """Largest shares of mass and energy in the outermost velocities, from g node by node."""
     kinetic, worst = simulation.kinetic, [0.0, 0.0]
     grid = kinetic.velocity_grid
-    for row in grid.unpack(kinetic._interior(kinetic.g)):
+    for row in grid.unpack(kinetic.inside(kinetic.g)):
         for block in row:
             total, outer = np.zeros(2), np.zeros(2)
             for node in np.ndindex(block.shape):
@@ -170,7 +170,7 @@ def test_a_cell_with_less_than_nothing_outside_stops_a_run(tmp_path, capsys, mon
     def disturbed(self):
         if self.number == 1:
             kinetic = self.kinetic
-            block = kinetic.velocity_grid.unpack(kinetic._interior(kinetic.g)[0, 2])
+            block = kinetic.velocity_grid.unpack(kinetic.inside(kinetic.g)[0, 2])
             block[0] += sign * 0.005 * block.sum() / block[0].size
         return advance(self)
 
