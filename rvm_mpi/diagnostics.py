@@ -129,7 +129,8 @@ COLUMNS = (
         fluid=True,
     ),
     Column(
-        "dissipated_energy", RUNNING, lambda here: np.zeros(0) if here.report is None else here.report.dissipated, _ENERGY,
+        "dissipated_energy", RUNNING,
+        lambda here: np.zeros(0) if here.report is None else here.report.dissipated, _ENERGY,
         "energy that collisions took", size="energy",
     ),
     Column(

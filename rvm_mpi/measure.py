@@ -47,7 +47,6 @@ class Local:
     def entered(self, side: str, part: int) -> np.ndarray:
         """What entered through this rank's faces of a side in the step: entry `part` of `state`, over the volume."""
         through = None if self.report is None else self.report.entered.get(side)
-        # an array of its own each time: arrays that columns share are summed once, and ranks must agree which those are
         return np.zeros(0) if through is None else through[:, part]
 
     def extreme_g(self, which: str) -> float:
