@@ -15,7 +15,7 @@ from typing import Any
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from rvm_mpi import Simulation
-from rvm_mpi.step.stepper import NumericalFailure
+from rvm_mpi.step.failure import NumericalFailure
 from tests.verification.kinetic_cases import build, es_bgk
 
 WALL = {"kind": "maxwell", "accommodation": 0.7, "temperature": 1.2}

@@ -18,7 +18,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from rvm_mpi import JobError, Simulation
 from rvm_mpi.grid.velocity import VelocityGrid
-from rvm_mpi.step.stepper import NumericalFailure
+from rvm_mpi.step.failure import NumericalFailure
 from tests.verification.kinetic_cases import build, coarsen, es_bgk, line, table
 
 CELLS, REFERENCE_CELLS = 64, 256

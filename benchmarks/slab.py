@@ -9,7 +9,7 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from rvm_mpi.step.stepper import NumericalFailure
+from rvm_mpi.step.failure import NumericalFailure
 from tests.verification.kinetic_cases import table
 from tests.verification.slab import errors, reference, slab
 

@@ -129,8 +129,9 @@ COLUMNS = (
         fluid=True,
     ),
     Column(
-        "dissipated_energy", RUNNING, lambda here: here.dissipated(), _ENERGY, "energy that collisions took",
-        size="energy",
+        "dissipated_energy", RUNNING,
+        lambda here: np.zeros(0) if here.report is None else here.report.dissipated, _ENERGY,
+        "energy that collisions took", size="energy",
     ),
     Column(
         "entered_mass_{side}", RUNNING, lambda here, side: here.entered(side, 0), _MASS,
@@ -343,17 +344,16 @@ class Diagnostics:
         self.row, self._beside = row, {column.name: found[column.name] for column in BESIDE}
 
     def _sums(self, columns: list[Column], here: Local) -> dict[str, float]:
-        """Numbers of the columns that are sums, by one reduction; arrays that they share are summed once."""
+        """Numbers of the columns that are sums, by one reduction: the same arrays in the same order on every rank."""
         from rvm_mpi.exact_sum import exact_sums  # kernels, which `rvm check` and `rvm compare` do without
 
-        parts = {column: column.how.arrays(column.of(here)) for column in columns if isinstance(column.how, Sums)}
-        arrays = {id(array): array for of_column in parts.values() for array in of_column}
-        sums = dict(zip(arrays, exact_sums(list(arrays.values()), self._sim.domain.comm)))
+        hows = {column: column.how for column in columns if isinstance(column.how, Sums)}
+        parts = [how.arrays(column.of(here)) for column, how in hows.items()]
+        sums = iter(exact_sums([array for part in parts for array in part], self._sim.domain.comm))
         found = {}
-        for column, of_column in parts.items():
-            assert isinstance(column.how, Sums)
-            found[column.name] = column.how.number([sums[id(array)] for array in of_column], self._whole)
-            if column.how is RUNNING:
+        for (column, how), part in zip(hows.items(), parts):
+            found[column.name] = how.number([next(sums) for _ in part], self._whole)
+            if how is RUNNING:
                 found[column.name] += self.row.get(column.name, 0.0)
         return found
 

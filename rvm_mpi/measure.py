@@ -47,20 +47,14 @@ class Local:
     def entered(self, side: str, part: int) -> np.ndarray:
         """What entered through this rank's faces of a side in the step: entry `part` of `state`, over the volume."""
         through = None if self.report is None else self.report.entered.get(side)
-        # an array of its own each time: arrays that columns share are summed once, and ranks must agree which those are
         return np.zeros(0) if through is None else through[:, part]
-
-    def dissipated(self) -> np.ndarray:
-        """Energy per volume that collisions took in the step."""
-        return np.zeros(0) if self.report is None else self.report.dissipated
 
     def extreme_g(self, which: str) -> float:
         """The "smallest" or "largest" value of g."""
         if self.report is not None:
             return float(getattr(self.report, which))
-        kinetic, (nx, ny) = self.run.kinetic, self.run.domain.local
-        wy, wx = kinetic.space.wy, kinetic.space.wx
-        g = kinetic.velocity_grid.unpack(kinetic.g[wy : wy + ny, wx : wx + nx])
+        kinetic = self.run.kinetic
+        g = kinetic.velocity_grid.unpack(kinetic.inside(kinetic.g))
         return float(g.min() if which == "smallest" else g.max()) * kinetic.units.g
 
     def box_share(self, which: int) -> float:

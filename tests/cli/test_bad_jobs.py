@@ -1,12 +1,12 @@
 """A wrong request ends at once: one line, exit 2, no traceback, nothing written, alone and under mpirun."""
 
-import os
 import subprocess
 import sys
 import time
 from pathlib import Path
 
 import pytest
+from small_runs import contents, environment
 
 ROOT = Path(__file__).resolve().parents[2]
 IN_TIME = 2.0
@@ -52,11 +52,6 @@ BAD = {
 }
 
 
-def environment(**more):
-    clean = {k: v for k, v in os.environ.items() if not k.startswith(("OMPI_", "PMIX_", "PMI_", "SLURM_"))}
-    return {**clean, "PYTHONPATH": str(ROOT), **more}
-
-
 def rvm(*arguments, cwd, **more):
     """Run the command alone; also the seconds it took."""
     start = time.monotonic()
@@ -65,10 +60,6 @@ def rvm(*arguments, cwd, **more):
         cwd=cwd, env=environment(**more), capture_output=True, text=True, timeout=60,
     )  # fmt: skip
     return done, time.monotonic() - start
-
-
-def contents(path):
-    return {str(p.relative_to(path)): p.read_bytes() for p in sorted(path.rglob("*")) if p.is_file()}
 
 
 def assert_refused(done, named):

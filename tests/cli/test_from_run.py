@@ -6,35 +6,22 @@ import sys
 
 import pytest
 from conftest import ROOT
+from small_runs import job_text
 
 from rvm_mpi.commands.main import main
 from rvm_mpi.results import read_history
 
-JOB = """
-[space]
-cells = [8]
-boundary.x = "diffuse"
-[velocity]
-points = [10, 8]
-[collision]
-operator = "granular-es-bgk"
-knudsen = 0.1
-restitution = 0.9
-[initial]
-state = "{state}
-[time]
-end = 0.2
-max_steps = {steps}
-"""
+SHARED = {"space": {"cells": [8], "boundary": {"x": "diffuse"}}, "velocity": {"points": [10, 8]},
+          "time": {"end": 0.2, "max_steps": 3}}  # fmt: skip
 
 
 @pytest.fixture
 def place(tmp_path, monkeypatch):
     """A finished run `base`, and `next` that began from it."""
     monkeypatch.chdir(tmp_path)
-    base = JOB.format(state='uniform"\ntemperature = 2.0', steps=3) + "[output]\nevery = 0.1"
+    base = job_text(**SHARED, initial={"state": "uniform", "temperature": 2.0}, output={"every": 0.1})
     (tmp_path / "base.toml").write_text(base)
-    (tmp_path / "next.toml").write_text(JOB.format(state='from-run"\nrun = "base"', steps=3))
+    (tmp_path / "next.toml").write_text(job_text(**SHARED, initial={"state": "from-run", "run": "base"}))
     assert main(["run", "base.toml", "--output", "base", "--quiet"]) == 0
     assert main(["run", "next.toml", "--output", "next", "--quiet"]) == 0
     shutil.copytree("next", "copy")

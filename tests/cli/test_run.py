@@ -10,6 +10,7 @@ import h5py
 import numpy as np
 import pytest
 import tomli_w
+from small_runs import contents
 
 from rvm_mpi import Simulation
 from rvm_mpi.commands.main import main
@@ -41,10 +42,6 @@ def write(directory, job, name="tiny"):
     path = directory / f"{name}.toml"
     path.write_text(tomli_w.dumps(job))
     return path
-
-
-def contents(path):
-    return {str(p.relative_to(path)): p.read_bytes() for p in sorted(path.rglob("*")) if p.is_file()}
 
 
 @pytest.fixture(scope="module")

@@ -1,13 +1,13 @@
 """Who listens, what he can show, and who has started us: none of it decides whether a command works."""
 
 import os
-import signal
 import subprocess
 import sys
 import time
 
 import pytest
 from conftest import ROOT
+from small_runs import LAUNCHED, environment, job_text, shell
 
 from rvm_mpi.job.text import JobError
 from rvm_mpi.output import rundir
@@ -16,40 +16,16 @@ from rvm_mpi.run.launch import Launch, launched
 
 pytestmark = pytest.mark.timeout(300)
 
-JOB = """
-title = "Übergang ρ→T"
-[space]
-cells = [12]
-boundary.x = "diffuse"
-[velocity]
-points = [12, 8]
-[collision]
-operator = "es-bgk"
-knudsen = 0.1
-[initial]
-state = "uniform"
-[time]
-end = 0.2
-[output]
-times = [0, 0.1, 0.2]
-"""
+JOB = job_text(
+    title="Übergang ρ→T",
+    space={"cells": [12], "boundary": {"x": "diffuse"}},
+    velocity={"points": [12, 8]},
+    collision={"operator": "es-bgk", "knudsen": 0.1},
+    initial={"state": "uniform"},
+    time={"end": 0.2},
+    output={"times": [0.0, 0.1, 0.2]},
+)
 LONG = ("--set", "time.end=1e3", "--set", "output.times=[1e3]")
-LAUNCHED = ("OMPI_", "PMIX_", "PMI_", "SLURM_", "MV2_")
-
-
-def environment(**more):
-    clean = {name: value for name, value in os.environ.items() if not name.startswith(LAUNCHED)}
-    return {**clean, "PYTHONPATH": str(ROOT), **more}
-
-
-def shell(script, place, **more):
-    """What bash has to say to a script in which `rvm` is a command: status, stdout, stderr."""
-    text = f'rvm() {{ "{sys.executable}" -m rvm_mpi "$@"; }}; set -o pipefail\n{script}'
-    done = subprocess.run(
-        ["bash", "-c", text], cwd=place, env=environment(**more), capture_output=True, timeout=200,
-        preexec_fn=lambda: signal.signal(signal.SIGHUP, signal.SIG_DFL),
-    )  # fmt: skip
-    return done.returncode, done.stdout.decode(), done.stderr.decode()
 
 
 @pytest.fixture

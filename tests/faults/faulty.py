@@ -10,6 +10,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 from conftest import MPIRUN, ROOT, mpi_environment, start_line
+from small_runs import job_text
 
 from rvm_mpi.results import open_run, read_history
 
@@ -20,30 +21,14 @@ BOUND = 90.0
 #: the same for the first run of all, which may have to compile the kernels
 COMPILING = 600.0
 
-TIMES = (0, 0.01, 0.02, 0.03, 0.04)
+TIMES = (0.0, 0.01, 0.02, 0.03, 0.04)
 
-JOB = """
-[space]
-cells = [9, 6]
-boundary.y = "diffuse"
-[velocity]
-points = [12, 10]
-[collision]
-operator = "granular-es-bgk"
-knudsen = 0.1
-restitution = 0.9
-[fluid]
-enabled = true
-[initial]
-state = "random-density"
-low = 0.5
-[time]
-end = 1000.0
-max_steps = 14
-[output]
-times = [0, 0.01, 0.02, 0.03, 0.04, 1000.0]
-checkpoint_every = "1e-9 s"   # after each step
-"""
+JOB = job_text(
+    space={"cells": [9, 6], "boundary": {"y": "diffuse"}},
+    fluid={"enabled": True},
+    time={"end": 1000.0, "max_steps": STEPS},
+    output={"times": [*TIMES, 1000.0], "checkpoint_every": "1e-9 s"},  # after each step
+)
 
 
 def _heed_ctrl_c():

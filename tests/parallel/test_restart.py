@@ -11,6 +11,7 @@ from pathlib import Path
 import h5py
 import pytest
 from conftest import mpi_environment, start_line
+from small_runs import GRANULAR, job_text
 
 from rvm_mpi.output.compare import compare_paths
 
@@ -85,25 +86,13 @@ def test_when_one_rank_cannot_write_the_run_ends_with_3_and_what_was_there_stays
 
 # -- stopping ---------------------------------------------------------------------------------------------
 
-JOB = """
-[space]
-cells = [8, 6]
-[velocity]
-points = [12, 10]
-[collision]
-operator = "granular-es-bgk"
-knudsen = 0.1
-restitution = 0.999
-[fluid]
-enabled = true
-[initial]
-state = "random-density"
-low = 0.5
-[time]
-end = 1000.0
-[output]
-times = [0, 0.01, 1000.0]
-"""
+JOB = job_text(
+    space={"cells": [8, 6]},
+    collision={**GRANULAR, "restitution": 0.999},
+    fluid={"enabled": True},
+    time={"end": 1000.0},
+    output={"times": [0.0, 0.01, 1000.0]},
+)
 
 
 def rows(directory):

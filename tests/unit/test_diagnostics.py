@@ -1,9 +1,8 @@
 """The table of columns: what a history holds, what is written about it, what `rvm compare` makes of it."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
+from conftest import ROOT
 
 from rvm_mpi import Job, Simulation, diagnostics
 from rvm_mpi.diagnostics import COLUMNS, Column, column_named, natural_unit
@@ -19,7 +18,7 @@ TABLES = {
 
 
 def test_the_page_on_the_history_is_the_table():
-    page = Path(__file__).parents[2] / "docs" / "history.md"
+    page = ROOT / "docs" / "history.md"
     assert page.read_text(encoding="utf-8") == "\n".join(diagnostics.describe()) + "\n"
 
 
@@ -54,3 +53,23 @@ def test_natural_units():
     }  # fmt: skip
     assert {name: natural_unit(name, largest) for name in expected} == expected
     assert natural_unit("momentum_x", {}) == 0.0
+
+
+@pytest.mark.timeout(300)
+def test_the_same_sums_on_every_rank(mpirun):
+    """Also where only some ranks touch a side, or have nothing to add."""
+    code = f"""
+from rvm_mpi import Job, Simulation
+simulation = Simulation(Job.from_dict({TABLES | {"space": {"cells": [3, 8], "boundary": {"y": "diffuse"}}}!r}))
+for _ in simulation:
+    pass
+rows = simulation.domain.comm.gather(repr(simulation.diagnostics.row))
+if rows:
+    print("\\n".join(set(rows)))
+"""
+    said = []
+    for ranks in (1, 2):
+        done = mpirun(ranks, "-c", code, timeout=240, env={"PYTHONPATH": str(ROOT)})
+        assert done.returncode == 0, done.stderr
+        said.append(done.stdout)
+    assert said[0] == said[1] and said[0].count("\n") == 1
