@@ -281,8 +281,8 @@ class Collision(Section):
 class Scheme(Section):
     """Discretisation."""
 
-    drift: Literal["van-leer", "kappa", "seventh-order", "seventh-order-positive"] = Field(
-        default="van-leer", description='"van-leer" | "kappa" | "seventh-order" | "seventh-order-positive"'
+    drift: Literal["maxwellian", "van-leer", "kappa", "seventh-order", "seventh-order-positive"] = Field(
+        default="van-leer", description='"maxwellian" | "van-leer" | "kappa" | "seventh-order" | "seventh-order-positive"'
     )
     conservative: Switch = Field(default=True, description="true | false")
 

@@ -111,8 +111,8 @@ def take(
     growth = given.growth
     if p.kinetic:  # d_t omega/omega = 1/2 (E'/E - rho'/rho)
         growth = 0.5 * ((N[..., 4] - beta * p.d * rho * T) / E - N[..., 0] / rho)
-    push = (beta / (rho * here.omega))[..., None] * U[..., 1:4]
-    turning = Turning(growth + beta, across.gradient, push)
+    mean = U[..., 1:4] / (rho * here.omega)[..., None]
+    turning = Turning(growth + beta, across.gradient, beta[..., None] * mean, mean, T / here.omega**2)
     explicit, first = explicit_part(p, stage, dt, begin, here, z, across._replace(rate=rate), turning)
 
     # U' = a H(U^n) + b H_c(U + dt N(U)), and from it omega = sqrt(2 E/(d rho))
@@ -154,7 +154,7 @@ def explicit_part(
 
     old, new, first = (nodewise(weight(z)) for weight in (stage.old, stage.new, stage.first))
     moved = here.g + dt * across.rate
-    explicit = old * begin.g + new * (moved + dt * drift(p, here.g, turning))
+    explicit = old * begin.g + new * (moved + dt * drift(p, here.g, turning, moved / dt))
     for m in np.unique(substeps[substeps > 0]):
         start, rest = old * begin.g, new * moved
         if here is begin:
@@ -170,5 +170,5 @@ def flow(p: Problem, g: Array, turning: Turning, dt: float, m: int) -> Array:
     """P: the drift alone over dt by m + 1 stages, each a forward Euler step over dt/m (Spiteri and Ruuth 2002)."""
     moved = g
     for _ in range(m):
-        moved = moved + dt / m * drift(p, moved, turning)
-    return (g + m * (moved + dt / m * drift(p, moved, turning))) / (m + 1)
+        moved = moved + dt / m * drift(p, moved, turning, moved * m / dt)
+    return (g + m * (moved + dt / m * drift(p, moved, turning, moved * m / dt))) / (m + 1)

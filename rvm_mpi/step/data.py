@@ -44,9 +44,9 @@ REPORT = np.dtype(
 class Grid(NamedTuple):
     """The velocity grid as numbers and arrays for the kernels (`velocity.py`).
 
-    stencil (2, taps) are the coefficients of the drift's linear reconstruction, where `linear`; else it is Van Leer's.
-    bounded: whether the linear fluxes are kept from making g negative. guard: doubles before and after a block that the
-    drift reads; scratch: those of its work space.
+    reconstruction: which of `drift.RECONSTRUCTIONS`; stencil (2, taps): the coefficients of a linear one, and bounded:
+    whether its fluxes are kept from making g negative. guard: doubles before and after a block that the drift reads;
+    scratch: those of its work space.
     """
 
     dimensions: int
@@ -61,8 +61,8 @@ class Grid(NamedTuple):
     nodes: np.ndarray
     per_spacing: tuple[float, float, float]
     half_width: tuple[float, float, float]
+    reconstruction: int
     stencil: np.ndarray
-    linear: bool
     bounded: bool
     guard: int
     scratch: int
@@ -369,7 +369,6 @@ def work_space(grid: Grid, nx: int) -> np.ndarray:
 def kernel_grid(grid: VelocityGrid, reconstruction: str = "van-leer") -> Grid:
     """The grid's numbers and arrays, and the drift's reconstruction by its name, as the kernels take them."""
     y = grid.slab[Y, : grid.slab_points]
-    order = drift.ORDERS.get(reconstruction, 0)
     return Grid(
         dimensions=grid.dimensions,
         points=grid.points,
@@ -383,8 +382,8 @@ def kernel_grid(grid: VelocityGrid, reconstruction: str = "van-leer") -> Grid:
         nodes=grid.nodes,
         per_spacing=(1 / grid.spacing[0], 1 / grid.spacing[1], 1 / grid.spacing[2]),
         half_width=grid.half_width,
-        stencil=drift.stencil(order) if order else np.zeros((2, drift.TAPS)),
-        linear=order > 0,
+        reconstruction=drift.RECONSTRUCTIONS[reconstruction],
+        stencil=drift.coefficients(reconstruction),
         bounded=reconstruction in drift.POSITIVE,
         guard=drift.reach(grid.points[2], grid.slab_size),
         scratch=drift.scratch_size(grid.points, grid.slab_size),

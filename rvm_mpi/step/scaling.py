@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from rvm_mpi.compiling.declare import part
-from rvm_mpi.kinetic.drift import Drift, fastest_turning
+from rvm_mpi.kinetic.drift import Drift
+from rvm_mpi.kinetic.drift_speed import fastest_along, fastest_turning
 
 
 @part
@@ -40,7 +41,7 @@ def omega_across(upwind, omega, y, x, down, right):  # type: ignore[no-untyped-d
 
 
 @part
-def frame_drift(grid, space, upwind, omega, cell, own, push):  # type: ignore[no-untyped-def]
+def frame_drift(grid, space, upwind, omega, cell, own, state):  # type: ignore[no-untyped-def]
     """A cell's drift a = -(A + xi . grad omega) xi + push, and how fast it and transport are.
 
     Parameters
@@ -51,15 +52,15 @@ def frame_drift(grid, space, upwind, omega, cell, own, push):  # type: ignore[no
     cell : Here
     own : float
         A = d_t omega/omega and the drag's rate together.
-    push : tuple of three floats
-        beta u/omega.
+    state : tuple
+        beta, and mean (three numbers) and temperature of g.
 
     Returns
     -------
     Drift, float, float
         The drift; sums of max|a|/h over the directions of space and over those of velocity.
     """
-    y, x = cell.y, cell.x
+    y, x, (beta, mean, temperature) = cell.y, cell.x, state
     w0, w1, e0, e1 = omega_across(upwind, omega, y, x, 0, 1 if space.dimensions >= 1 else 0)
     s0, s1, n0, n1 = omega_across(upwind, omega, y, x, 1 if space.dimensions == 2 else 0, 0)
     drift = Drift(
@@ -68,7 +69,9 @@ def frame_drift(grid, space, upwind, omega, cell, own, push):  # type: ignore[no
         falling_x=(e1 - w1) * space.per_dx,
         rising_y=(n0 - s0) * space.per_dy,
         falling_y=(n1 - s1) * space.per_dy,
-        push=push,
+        push=(beta * mean[0], beta * mean[1], beta * mean[2]),
+        centre=mean,
+        temperature=temperature,
     )
     half_width = grid.half_width
     crossing = max(w0, w1, e0, e1) * half_width[0] * space.per_dx
@@ -76,5 +79,5 @@ def frame_drift(grid, space, upwind, omega, cell, own, push):  # type: ignore[no
     turning = fastest_turning(drift, half_width)
     drifting = 0.0
     for q in range(grid.dimensions):
-        drifting += (turning * half_width[q] + abs(push[q])) * grid.per_spacing[q]
+        drifting += fastest_along(grid, drift, turning, q)
     return drift, crossing, drifting

@@ -143,8 +143,8 @@ def advance(grid, space, model, stage, dt, fields, cell, work):  # type: ignore[
     own = fields.growth[j, i] + beta
     if model.kinetic:
         own = 0.5 * (rate[4] / energy - rate[0] / density) + beta * (kinetic_energy / energy)
-    push = (beta * ux / omega, beta * uy / omega, beta * uz / omega)
-    turn, crossing, drifting = frame_drift(grid, space, model.conservative, fields.begin.omega, cell, own, push)
+    of_g = (beta, (ux / omega, uy / omega, uz / omega), temperature / (omega * omega))
+    turn, crossing, drifting = frame_drift(grid, space, model.conservative, fields.begin.omega, cell, own, of_g)
     report.transport, report.drift = crossing, drifting
 
     z = fields.depth[j, i] if stage.number > 0 or model.explicit else 0.0

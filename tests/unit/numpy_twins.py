@@ -97,13 +97,16 @@ def problem(grid, reconstruction="van-leer"):
     return Problem(job, grid.dimensions, list(nodes(grid)), five, h, V, grid.weight, {})
 
 
-def drift_rate(grid, g, turning, gradient, push, reconstruction="van-leer"):
+def drift_rate(grid, g, turning, gradient, push, reconstruction="van-leer", state=((0, 0, 0), 1.0), loses=None):
     """-div_xi (a g) of a cell, a = -(turning + gradient . xi) xi + push, closed at the edge of the box.
 
-    gradient: along x and y, each a pair for velocities that go up and down in that direction.
+    gradient: along x and y, each a pair for velocities that go up and down in that direction; state: mean and
+    temperature of the Maxwellian; loses: see `reference.drift`.
     """
-    rates = Turning(np.full((1, 1), turning), np.reshape(gradient, (2, 2, 1, 1)), np.reshape(push, (1, 1, 3)))
-    return drift(problem(grid, reconstruction), g[None, None], rates)[0, 0]
+    mean, temperature = np.reshape(state[0], (1, 1, 3)), np.full((1, 1), state[1])
+    rates = Turning(np.full((1, 1), turning), np.reshape(gradient, (2, 2, 1, 1)), np.reshape(push, (1, 1, 3)), mean, temperature)
+    loses = g if loses is None else loses
+    return drift(problem(grid, reconstruction), g[None, None], rates, loses[None, None])[0, 0]
 
 
 def gaussian(grid, density, mean, tensor):

@@ -1,0 +1,253 @@
+"""The drift's fluxes from g relative to the cell's own Maxwellian: positive, and accurate on few velocities.
+
+What is reconstructed is not g, whose flank looks like a shock on a coarse grid, but h = g/M with the Maxwellian M of the
+cell's mean and temperature: a constant where the gas is in equilibrium. Along each axis, with a on a face F of the grid
+and k the node that it comes from:
+
+1. v = h_k + s_k on the face, s_k the monotonised central slope of h (`limiter.monotonised`);
+2. P = a M_F v, the product there to second order, exact where h is constant;
+3. the flux P - (P_+ - 2 P + P_-)/24: its difference over h is then a derivative of fourth order at the node;
+4. no flux against P's sign, and none beyond the share of what its donor has that this face may carry in the step: so g
+   stays positive whatever it is.
+
+Only ratios of M at neighbouring nodes enter.
+"""
+
+from __future__ import annotations
+
+from rvm_mpi.compiling.declare import part
+from rvm_mpi.compiling.simd import (
+    exponential,
+    fma,
+    load,
+    maximum,
+    minimum,
+    prefetch,
+    shifted,
+    splat,
+    store,
+    where_positive,
+)
+from rvm_mpi.grid.velocity import Y_FACE, Y_OPEN, Y_QUARTER, Z_FACE, Z_OPEN, Z_QUARTER, Y, Z
+from rvm_mpi.kinetic.drift_speed import fastest_along, fastest_turning, guard_of
+from rvm_mpi.kinetic.limiter import monotonised
+
+#: rows of a slab that the work space holds
+ROWS = 18
+#: numbers for each node along x
+FACTORS = 4
+#: of what a node has, the part that all its faces together may take away
+SHARE = 0.999
+#: exponents of 1/M stay below this, far inside the range of doubles
+HIGHEST = 600.0
+
+
+@part
+def width_of(drift, half_width, dimensions):  # type: ignore[no-untyped-def]
+    """The Maxwellian's temperature: the cell's, or one so much wider that no exponent passes `HIGHEST`."""
+    farthest = 0.0
+    for q in range(dimensions):
+        farthest += (half_width[q] + abs(drift.centre[q])) ** 2
+    return max(drift.temperature, farthest / (2.0 * HIGHEST))
+
+
+@part
+def make_factors(grid, drift, width, scratch, at):  # type: ignore[no-untyped-def]
+    """For each xi_x: M over its lower and over its upper neighbour, M on the upper and lower face over M; from `at` on.
+
+    Zero beyond the last node.
+    """
+    points_x, whole = grid.points[0], (grid.points[0] + 7) // 8 * 8
+    half = 1.0 / (2.0 * width * grid.per_spacing[0])
+    near = exponential(splat(-0.25 * half / grid.per_spacing[0]))
+    far = exponential(splat(half / grid.per_spacing[0]))
+    for n in range(0, whole, 8):
+        slope = (load(grid.nodes, n) - splat(drift.centre[0])) * half
+        falling, rising = exponential(splat(0.0) - slope), exponential(slope)
+        store(scratch, at + n, falling * falling * far)
+        store(scratch, at + whole + n, rising * rising * far)
+        store(scratch, at + 2 * whole + n, falling * near)
+        store(scratch, at + 3 * whole + n, rising * near)
+    for n in range(points_x, whole):
+        for row in range(FACTORS):
+            scratch[at + row * whole + n] = 0.0
+    return whole
+
+
+@part
+def bounded(flux, before, own, after, share, donor_below, donor_above):  # type: ignore[no-untyped-def]
+    """The flux P - (P_+ - 2 P + P_-)/24 within what its donor may lose through this face.
+
+    before, own, after: P on the face below, this one and the one above; half the share where the donor's other face
+    lets out, too.
+    """
+    zero = splat(0.0)
+    donor = where_positive(own, donor_below, donor_above)
+    other = where_positive(own, before, zero - after)
+    most = donor * where_positive(zero - other, splat(0.5 * share), splat(share))
+    return maximum(minimum(flux, where_positive(own, most, zero)), zero - where_positive(zero - own, most, zero))
+
+
+@part
+def fourth_order(before, own, after):  # type: ignore[no-untyped-def]
+    """Fluxes whose difference is a derivative of fourth order at the node, from those that are so at the faces."""
+    return fma(before + after, splat(-1.0 / 24.0), own * (13.0 / 12.0))
+
+
+@part
+def update_maxwellian(g, cell, grid, drift, mix, scratch, result):  # type: ignore[no-untyped-def]
+    """`drift.apply` with this reconstruction."""
+    points_x, points_y, points_z = grid.points
+    slab_size, x, x_face, slab = grid.slab_size, grid.x, grid.x_face, grid.slab
+    guard = guard_of(points_z)
+    row = slab_size + 2 * guard
+    relative, slope_y, slope_z = guard, row + guard, 2 * row + guard
+    product_y, product_z = 3 * row + guard, 4 * row + guard
+    slope_next, slope_after = 5 * row + guard, 6 * row + guard
+    product_before, product_x, product_after = 7 * row + guard, 8 * row + guard, 9 * row + guard
+    through_x, through_y = 10 * row + guard, 11 * row + guard
+    inverse, across_y, across_z = 12 * row + guard, 13 * row + guard, 14 * row + guard
+    turns, speeds_y, speeds_z = 15 * row + guard, 16 * row + guard, 17 * row + guard
+    factors = ROWS * row
+    a, rising_x, falling_x = drift.own, drift.rising_x, drift.falling_x
+    rising_y, falling_y = splat(drift.rising_y), splat(drift.falling_y)
+    per_x, per_y, per_z = grid.per_spacing
+    push_x, push_y, push_z = drift.push[0] * per_x, drift.push[1] * per_y, drift.push[2] * per_z
+    old, weight_old, weight_new, dt = mix.old, mix.weight_old, mix.weight_new, mix.dt
+    has_y, has_z = points_y > 1, points_z > 1
+    mix_old = weight_old != 0.0
+    zero = splat(0.0)
+
+    # what a face of each direction may carry, at most, of what its donor has
+    turning = fastest_turning(drift, grid.half_width)
+    most_x, most_y, most_z = (
+        fastest_along(grid, drift, turning, 0),
+        fastest_along(grid, drift, turning, 1),
+        fastest_along(grid, drift, turning, 2),
+    )
+    fastest = most_x + most_y + most_z
+    lose = SHARE / (fastest * dt) if fastest * dt > 0.0 else 0.0
+    share_x, share_y, share_z = most_x * lose, most_y * lose, most_z * lose
+
+    # the Maxwellian, and the part of the faces' speeds over h that is the same for every xi_x
+    width = width_of(drift, grid.half_width, grid.dimensions)
+    whole = make_factors(grid, drift, width, scratch, factors)
+    below_x, above_x = factors, factors + whole
+    up_x, down_x = factors + 2 * whole, factors + 3 * whole
+    centre_y, centre_z, narrow = splat(drift.centre[1]), splat(drift.centre[2]), splat(-0.5 / width)
+    for n in range(0, slab_size, 8):
+        y, yf = load(slab, Y * slab_size + n), load(slab, Y_FACE * slab_size + n)
+        z, zf = load(slab, Z * slab_size + n), load(slab, Z_FACE * slab_size + n)
+        square_y, square_z = (y - centre_y) * (y - centre_y), (z - centre_z) * (z - centre_z)
+        open_y, open_z = load(slab, Y_OPEN * slab_size + n), load(slab, Z_OPEN * slab_size + n)
+        turn = y * where_positive(y, rising_y, falling_y)
+        store(scratch, inverse + n, exponential((square_y + square_z) * (zero - narrow)))
+        store(scratch, turns + n, turn)
+        store(scratch, product_before + n, zero)
+        store(scratch, through_x + n, zero)
+        if has_y:
+            square = (yf - centre_y) * (yf - centre_y) + square_z
+            store(scratch, across_y + n, exponential(square * narrow) * open_y)
+            turn_yf = yf * yf * where_positive(yf, rising_y, falling_y)
+            store(scratch, speeds_y + n, splat(push_y) - turn_yf * per_y)
+        if has_z:
+            square = (zf - centre_z) * (zf - centre_z) + square_y
+            store(scratch, across_z + n, exponential(square * narrow) * open_z)
+            store(scratch, speeds_z + n, splat(push_z) - zf * turn * per_z)
+
+    for k in range(-2, points_x):
+        # along x, two slabs ahead of the others: the slope there, P on the face below it
+        base, at = cell + k * slab_size, k * slab_size
+        ahead = base + 2 * slab_size
+        quarter = splat(0.25 if 0 < k + 2 < points_x - 1 else 0.0)
+        lower, upper = splat(0.0), splat(0.0)
+        down, up = splat(0.0), splat(0.0)
+        sx0, sx1 = 0.0, 0.0
+        if k + 2 < points_x:
+            lower, upper = splat(scratch[below_x + k + 2]), splat(scratch[above_x + k + 2])
+            down = splat(scratch[down_x + k + 2])
+        if -1 < k + 1 < points_x - 1:
+            xf = x_face[k + 1]
+            up = splat(scratch[up_x + k + 1])
+            sx0 = push_x - per_x * (a + (rising_x if xf > 0.0 else falling_x) * xf) * xf
+            sx1 = -per_x * xf
+        for n in range(0, slab_size, 8):
+            c = load(g, ahead + n)
+            fall = fma(zero - lower, load(g, ahead - slab_size + n), c)
+            rise = fma(upper, load(g, ahead + slab_size + n), zero - c)
+            bend = monotonised(fall, rise, quarter)
+            s = fma(load(scratch, turns + n), sx1, splat(sx0))
+            left = (load(g, ahead - slab_size + n) + load(scratch, slope_next + n)) * up
+            right = (c - bend) * down
+            store(scratch, slope_after + n, bend)
+            store(scratch, product_after + n, s * where_positive(s, left, right))
+        if k >= 0:
+            along = a + (rising_x if x[k] > 0.0 else falling_x) * x[k]
+            along_y, along_z = -along * per_y, -along * per_z
+            for n in range(0, slab_size, 8):
+                prefetch(old, base + 2 * slab_size + n)
+                store(scratch, relative + n, load(g, base + n) * load(scratch, inverse + n))
+            for n in range(0, slab_size, 8):
+                h = load(scratch, relative + n)
+                if has_y:
+                    fall, rise = h - load(scratch, relative + n - points_z), load(scratch, relative + n + points_z) - h
+                    store(scratch, slope_y + n, monotonised(fall, rise, load(slab, Y_QUARTER * slab_size + n)))
+                if has_z:
+                    fall, rise = h - load(scratch, relative + n - 1), load(scratch, relative + n + 1) - h
+                    store(scratch, slope_z + n, monotonised(fall, rise, load(slab, Z_QUARTER * slab_size + n)))
+            for n in range(0, slab_size, 8):
+                h = load(scratch, relative + n)
+                if has_y:
+                    s = fma(load(slab, Y_FACE * slab_size + n), along_y, load(scratch, speeds_y + n))
+                    left = h + load(scratch, slope_y + n)
+                    right = load(scratch, relative + n + points_z) - load(scratch, slope_y + n + points_z)
+                    value = where_positive(s, left, right)
+                    store(scratch, product_y + n, s * load(scratch, across_y + n) * value)
+                if has_z:
+                    s = fma(load(slab, Z_FACE * slab_size + n), along_z, load(scratch, speeds_z + n))
+                    left = h + load(scratch, slope_z + n)
+                    right = load(scratch, relative + n + 1) - load(scratch, slope_z + n + 1)
+                    value = where_positive(s, left, right)
+                    store(scratch, product_z + n, s * load(scratch, across_z + n) * value)
+            inside = 1 if k < points_x - 1 else 0
+            before_z = zero
+            for n in range(0, slab_size, 8):
+                c, r = load(g, base + n), load(result, at + n)
+                has = fma(r, dt, c)
+                donor = maximum(has, zero)
+                # beyond the last slab P is zero, and so is its flux
+                there = fma(load(result, at + inside * slab_size + n), dt, load(g, base + inside * slab_size + n))
+                own = load(scratch, product_x + n)
+                before, after = load(scratch, product_before + n), load(scratch, product_after + n)
+                f = bounded(
+                    fourth_order(before, own, after), before, own, after, share_x, donor, maximum(there, zero)
+                )
+                change = load(scratch, through_x + n) - f
+                store(scratch, through_x + n, f)
+                if has_y:
+                    there = fma(load(result, at + n + points_z), dt, load(g, base + n + points_z))
+                    own = load(scratch, product_y + n)
+                    before, after = (
+                        load(scratch, product_y + n - points_z),
+                        load(scratch, product_y + n + points_z),
+                    )
+                    f = bounded(
+                        fourth_order(before, own, after), before, own, after, share_y, donor, maximum(there, zero)
+                    )
+                    store(scratch, through_y + n, f)
+                    change = change + (load(scratch, through_y + n - points_z) - f)
+                if has_z:
+                    there = fma(load(result, at + n + 1), dt, load(g, base + n + 1))
+                    own = load(scratch, product_z + n)
+                    before, after = load(scratch, product_z + n - 1), load(scratch, product_z + n + 1)
+                    f = bounded(
+                        fourth_order(before, own, after), before, own, after, share_z, donor, maximum(there, zero)
+                    )
+                    change = change + (shifted(before_z, f) - f)
+                    before_z = f
+                value = fma(change, dt, has) * weight_new
+                if mix_old:
+                    value = fma(load(old, base + n), weight_old, value)
+                store(result, at + n, value)
+        slope_next, slope_after = slope_after, slope_next
+        product_before, product_x, product_after = product_x, product_after, product_before
