@@ -38,6 +38,8 @@ ROWS = 18
 FACTORS = 4
 #: of what a node has, the part that all its faces together may take away
 SHARE = 0.999
+#: of that, the part through the face that its Maxwellian leaves by
+WITH = 0.9375
 #: exponents of 1/M stay below this, far inside the range of doubles
 HIGHEST = 600.0
 
@@ -76,16 +78,16 @@ def make_factors(grid, drift, width, scratch, at):  # type: ignore[no-untyped-de
 
 @part
 def bounded(flux, before, own, after, share, donor_below, donor_above):  # type: ignore[no-untyped-def]
-    """The flux P - (P_+ - 2 P + P_-)/24 within what its donor may lose through this face.
+    """The flux as far as what the nodes below and above it may lose through this face.
 
-    before, own, after: P on the face below, this one and the one above; half the share where the donor's other face
-    lets out, too.
+    before, own, after: P on the face below, this one and the one above. A node that P leaves through one face and
+    enters through the other may lose nearly all of its share with P and a little against it, any other half through
+    each face.
     """
-    zero = splat(0.0)
-    donor = where_positive(own, donor_below, donor_above)
-    other = where_positive(own, before, zero - after)
-    most = donor * where_positive(zero - other, splat(0.5 * share), splat(share))
-    return maximum(minimum(flux, where_positive(own, most, zero)), zero - where_positive(zero - own, most, zero))
+    zero, half, most, little = splat(0.0), splat(0.5 * share), splat(WITH * share), splat(share - WITH * share)
+    up = where_positive(before * own, where_positive(own, most, little), half)
+    down = where_positive(own * after, where_positive(own, little, most), half)
+    return maximum(minimum(flux, up * donor_below), zero - down * donor_above)
 
 
 @part
@@ -210,6 +212,7 @@ def update_maxwellian(g, cell, grid, drift, mix, scratch, result):  # type: igno
                     value = where_positive(s, left, right)
                     store(scratch, product_z + n, s * load(scratch, across_z + n) * value)
             inside = 1 if k < points_x - 1 else 0
+            open_x = splat(float(inside))
             before_z = zero
             for n in range(0, slab_size, 8):
                 c, r = load(g, base + n), load(result, at + n)
@@ -219,7 +222,7 @@ def update_maxwellian(g, cell, grid, drift, mix, scratch, result):  # type: igno
                 there = fma(load(result, at + inside * slab_size + n), dt, load(g, base + inside * slab_size + n))
                 own = load(scratch, product_x + n)
                 before, after = load(scratch, product_before + n), load(scratch, product_after + n)
-                f = bounded(
+                f = open_x * bounded(
                     fourth_order(before, own, after), before, own, after, share_x, donor, maximum(there, zero)
                 )
                 change = load(scratch, through_x + n) - f
@@ -234,6 +237,7 @@ def update_maxwellian(g, cell, grid, drift, mix, scratch, result):  # type: igno
                     f = bounded(
                         fourth_order(before, own, after), before, own, after, share_y, donor, maximum(there, zero)
                     )
+                    f = f * load(slab, Y_OPEN * slab_size + n)
                     store(scratch, through_y + n, f)
                     change = change + (load(scratch, through_y + n - points_z) - f)
                 if has_z:
@@ -243,6 +247,7 @@ def update_maxwellian(g, cell, grid, drift, mix, scratch, result):  # type: igno
                     f = bounded(
                         fourth_order(before, own, after), before, own, after, share_z, donor, maximum(there, zero)
                     )
+                    f = f * load(slab, Z_OPEN * slab_size + n)
                     change = change + (shifted(before_z, f) - f)
                     before_z = f
                 value = fma(change, dt, has) * weight_new

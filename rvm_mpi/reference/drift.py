@@ -93,13 +93,16 @@ def relative_flux(a: Array, g: Array, axis: Array, mean: Array, T: Array) -> Arr
 
 
 def within(product: Array, most: Array) -> Array:
-    """Fluxes whose difference is of fourth order, with the products' sign and within what their donors may lose."""
-    below, above = beside(product, 1)[..., :-2], beside(product, 1)[..., 2:]
-    flux = product - (above - 2.0 * product + below) / 24.0
-    most = np.maximum(most, 0.0)
-    up = most[..., :-1] * np.where(below < 0.0, 0.5, 1.0)
-    down = most[..., 1:] * np.where(above > 0.0, 0.5, 1.0)
-    return np.where(product > 0.0, np.clip(flux, 0.0, up), np.clip(flux, -down, 0.0)) * (product != 0.0)
+    """Fluxes whose difference is of fourth order, within what the nodes on both sides may lose.
+
+    That is `most` together; nearly all of it where the products' signs say that a node is passed through.
+    """
+    before, after = beside(product, 1)[..., :-2], beside(product, 1)[..., 2:]
+    flux = product - (after - 2.0 * product + before) / 24.0
+    up = np.where(before * product > 0.0, np.where(product > 0.0, 0.9375, 0.0625), 0.5)
+    down = np.where(product * after > 0.0, np.where(product > 0.0, 0.0625, 0.9375), 0.5)
+    held = np.maximum(most, 0.0)
+    return np.clip(flux, -down * held[..., 1:], up * held[..., :-1])
 
 
 def beside(values: Array, count: int) -> Array:

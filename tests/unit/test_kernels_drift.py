@@ -45,8 +45,8 @@ def in_use(d):
     dt=st.floats(0.0, 0.5),
     second=st.booleans(),
     z=st.floats(0.0, 5.0),
-    mean=st.tuples(*[st.floats(-2.0, 2.0)] * 3),
-    temperature=st.floats(0.02, 3.0),
+    mean=st.tuples(*[st.floats(-1.0, 1.0)] * 3),
+    temperature=st.floats(0.4, 3.0),
 )
 def test_update(points, seed, signed, name, rates, dt, second, z, mean, temperature):
     grid, rng = make_grid(points), np.random.default_rng(seed)
