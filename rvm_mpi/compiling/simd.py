@@ -356,6 +356,17 @@ def where_positive(typingctx, condition, a, b):  # type: ignore[no-untyped-def]
     return vector8(vector8, vector8, vector8), codegen
 
 
+@intrinsic
+def where_negative(typingctx, sign, a, b):  # type: ignore[no-untyped-def]
+    """a where the sign of `sign` is minus (-0 is), else b; cheaper than `where_positive`, which compares."""
+
+    def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
+        minus = builder.icmp_signed("<", builder.bitcast(args[0], _INTS), ir.Constant(_INTS, [0] * LANES))
+        return builder.select(minus, args[1], args[2])
+
+    return vector8(vector8, vector8, vector8), codegen
+
+
 _LOG2_E = 1.4426950408889634
 _LN2_HIGH, _LN2_LOW = 0.693145751953125, 1.42860682030941723212e-6
 _ROUND = 6755399441055744.0  # 1.5 * 2^52: adding it rounds to the nearest integer

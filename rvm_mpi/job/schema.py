@@ -282,7 +282,7 @@ class Scheme(Section):
     """Discretisation."""
 
     drift: Literal["maxwellian", "van-leer", "kappa", "seventh-order", "seventh-order-positive"] = Field(
-        default="van-leer", description='"maxwellian" | "van-leer" | "kappa" | "seventh-order" | "seventh-order-positive"'
+        default="maxwellian", description='"maxwellian" | "van-leer" | "kappa" | "seventh-order" | "seventh-order-positive"'
     )
     conservative: Switch = Field(default=True, description="true | false")
 

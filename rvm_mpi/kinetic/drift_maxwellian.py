@@ -26,20 +26,21 @@ from rvm_mpi.compiling.simd import (
     shifted,
     splat,
     store,
+    where_negative,
     where_positive,
 )
-from rvm_mpi.grid.velocity import Y_FACE, Y_OPEN, Y_QUARTER, Z_FACE, Z_OPEN, Z_QUARTER, Y, Z
+from rvm_mpi.grid.velocity import Y_BEND, Y_FACE, Y_OPEN, Y_QUARTER, Z_BEND, Z_FACE, Z_OPEN, Z_QUARTER, Y, Z
 from rvm_mpi.kinetic.drift_speed import fastest_along, fastest_turning, guard_of
 from rvm_mpi.kinetic.limiter import monotonised
 
 #: rows of a slab that the work space holds
-ROWS = 18
+ROWS = 20
 #: numbers for each node along x
 FACTORS = 4
 #: of what a node has, the part that all its faces together may take away
 SHARE = 0.999
-#: of that, the part through the face that its Maxwellian leaves by
-WITH = 0.9375
+#: of that, the part that may leave with the flux of its Maxwellian; the rest may against it
+WITH = 0.875
 #: exponents of 1/M stay below this, far inside the range of doubles
 HIGHEST = 600.0
 
@@ -77,23 +78,18 @@ def make_factors(grid, drift, width, scratch, at):  # type: ignore[no-untyped-de
 
 
 @part
-def bounded(flux, before, own, after, share, donor_below, donor_above):  # type: ignore[no-untyped-def]
-    """The flux as far as what the nodes below and above it may lose through this face.
+def through_face(products, bend, share, donors):  # type: ignore[no-untyped-def]
+    """The flux of fourth order, as far as what the nodes below and above the face may lose through it.
 
-    before, own, after: P on the face below, this one and the one above. A node that P leaves through one face and
-    enters through the other may lose nearly all of its share with P and a little against it, any other half through
-    each face.
+    products: P on the face below, this one and the one above; bend: -1/24, 0 on a closed face; donors: what the nodes
+    have. Most of its share a node may lose with P, as it is on both its faces together, and a little against it.
     """
-    zero, half, most, little = splat(0.0), splat(0.5 * share), splat(WITH * share), splat(share - WITH * share)
-    up = where_positive(before * own, where_positive(own, most, little), half)
-    down = where_positive(own * after, where_positive(own, little, most), half)
-    return maximum(minimum(flux, up * donor_below), zero - down * donor_above)
-
-
-@part
-def fourth_order(before, own, after):  # type: ignore[no-untyped-def]
-    """Fluxes whose difference is a derivative of fourth order at the node, from those that are so at the faces."""
-    return fma(before + after, splat(-1.0 / 24.0), own * (13.0 / 12.0))
+    (before, own, after), (below, above) = products, donors
+    most, little = splat(WITH * share), splat(share - WITH * share)
+    flux = fma(before + after, bend, own * (13.0 / 12.0))
+    up = where_negative(before + own, little, most) * below
+    down = where_negative(own + after, splat(-WITH * share), splat(WITH * share - share)) * above
+    return maximum(minimum(flux, up), down)
 
 
 @part
@@ -108,8 +104,9 @@ def update_maxwellian(g, cell, grid, drift, mix, scratch, result):  # type: igno
     slope_next, slope_after = 5 * row + guard, 6 * row + guard
     product_before, product_x, product_after = 7 * row + guard, 8 * row + guard, 9 * row + guard
     through_x, through_y = 10 * row + guard, 11 * row + guard
-    inverse, across_y, across_z = 12 * row + guard, 13 * row + guard, 14 * row + guard
+    inverse, turning_y, turning_z = 12 * row + guard, 13 * row + guard, 14 * row + guard
     turns, speeds_y, speeds_z = 15 * row + guard, 16 * row + guard, 17 * row + guard
+    donors, donors_next = 18 * row + guard, 19 * row + guard
     factors = ROWS * row
     a, rising_x, falling_x = drift.own, drift.rising_x, drift.falling_x
     rising_y, falling_y = splat(drift.rising_y), splat(drift.falling_y)
@@ -147,18 +144,19 @@ def update_maxwellian(g, cell, grid, drift, mix, scratch, result):  # type: igno
         store(scratch, turns + n, turn)
         store(scratch, product_before + n, zero)
         store(scratch, through_x + n, zero)
+        # M on the face goes with the speed: it changes no sign
         if has_y:
-            square = (yf - centre_y) * (yf - centre_y) + square_z
-            store(scratch, across_y + n, exponential(square * narrow) * open_y)
+            across = exponential(((yf - centre_y) * (yf - centre_y) + square_z) * narrow) * open_y
             turn_yf = yf * yf * where_positive(yf, rising_y, falling_y)
-            store(scratch, speeds_y + n, splat(push_y) - turn_yf * per_y)
+            store(scratch, turning_y + n, across * yf)
+            store(scratch, speeds_y + n, across * (splat(push_y) - turn_yf * per_y))
         if has_z:
-            square = (zf - centre_z) * (zf - centre_z) + square_y
-            store(scratch, across_z + n, exponential(square * narrow) * open_z)
-            store(scratch, speeds_z + n, splat(push_z) - zf * turn * per_z)
+            across = exponential(((zf - centre_z) * (zf - centre_z) + square_y) * narrow) * open_z
+            store(scratch, turning_z + n, across * zf)
+            store(scratch, speeds_z + n, across * (splat(push_z) - zf * turn * per_z))
 
     for k in range(-2, points_x):
-        # along x, two slabs ahead of the others: the slope there, P on the face below it
+        # along x, two slabs ahead of the others: the slope there, P on the face below it; one ahead, what nodes have
         base, at = cell + k * slab_size, k * slab_size
         ahead = base + 2 * slab_size
         quarter = splat(0.25 if 0 < k + 2 < points_x - 1 else 0.0)
@@ -166,7 +164,7 @@ def update_maxwellian(g, cell, grid, drift, mix, scratch, result):  # type: igno
         down, up = splat(0.0), splat(0.0)
         sx0, sx1 = 0.0, 0.0
         if k + 2 < points_x:
-            lower, upper = splat(scratch[below_x + k + 2]), splat(scratch[above_x + k + 2])
+            lower, upper = splat(-scratch[below_x + k + 2]), splat(scratch[above_x + k + 2])
             down = splat(scratch[down_x + k + 2])
         if -1 < k + 1 < points_x - 1:
             xf = x_face[k + 1]
@@ -174,15 +172,19 @@ def update_maxwellian(g, cell, grid, drift, mix, scratch, result):  # type: igno
             sx0 = push_x - per_x * (a + (rising_x if xf > 0.0 else falling_x) * xf) * xf
             sx1 = -per_x * xf
         for n in range(0, slab_size, 8):
-            c = load(g, ahead + n)
-            fall = fma(zero - lower, load(g, ahead - slab_size + n), c)
+            c, before = load(g, ahead + n), load(g, ahead - slab_size + n)
+            fall = fma(lower, before, c)
             rise = fma(upper, load(g, ahead + slab_size + n), zero - c)
             bend = monotonised(fall, rise, quarter)
             s = fma(load(scratch, turns + n), sx1, splat(sx0))
-            left = (load(g, ahead - slab_size + n) + load(scratch, slope_next + n)) * up
+            left = (before + load(scratch, slope_next + n)) * up
             right = (c - bend) * down
             store(scratch, slope_after + n, bend)
-            store(scratch, product_after + n, s * where_positive(s, left, right))
+            store(scratch, product_after + n, s * where_negative(s, right, left))
+        if -1 <= k < points_x - 1:
+            for n in range(0, slab_size, 8):
+                has = fma(load(result, at + slab_size + n), dt, load(g, base + slab_size + n))
+                store(scratch, donors_next + n, maximum(has, zero))
         if k >= 0:
             along = a + (rising_x if x[k] > 0.0 else falling_x) * x[k]
             along_y, along_z = -along * per_y, -along * per_z
@@ -200,59 +202,51 @@ def update_maxwellian(g, cell, grid, drift, mix, scratch, result):  # type: igno
             for n in range(0, slab_size, 8):
                 h = load(scratch, relative + n)
                 if has_y:
-                    s = fma(load(slab, Y_FACE * slab_size + n), along_y, load(scratch, speeds_y + n))
+                    s = fma(load(scratch, turning_y + n), along_y, load(scratch, speeds_y + n))
                     left = h + load(scratch, slope_y + n)
                     right = load(scratch, relative + n + points_z) - load(scratch, slope_y + n + points_z)
-                    value = where_positive(s, left, right)
-                    store(scratch, product_y + n, s * load(scratch, across_y + n) * value)
+                    store(scratch, product_y + n, s * where_negative(s, right, left))
                 if has_z:
-                    s = fma(load(slab, Z_FACE * slab_size + n), along_z, load(scratch, speeds_z + n))
+                    s = fma(load(scratch, turning_z + n), along_z, load(scratch, speeds_z + n))
                     left = h + load(scratch, slope_z + n)
                     right = load(scratch, relative + n + 1) - load(scratch, slope_z + n + 1)
-                    value = where_positive(s, left, right)
-                    store(scratch, product_z + n, s * load(scratch, across_z + n) * value)
-            inside = 1 if k < points_x - 1 else 0
-            open_x = splat(float(inside))
+                    store(scratch, product_z + n, s * where_negative(s, right, left))
+            bend_x = splat(-1.0 / 24.0 if k < points_x - 1 else 0.0)
             before_z = zero
             for n in range(0, slab_size, 8):
-                c, r = load(g, base + n), load(result, at + n)
-                has = fma(r, dt, c)
-                donor = maximum(has, zero)
-                # beyond the last slab P is zero, and so is its flux
-                there = fma(load(result, at + inside * slab_size + n), dt, load(g, base + inside * slab_size + n))
-                own = load(scratch, product_x + n)
-                before, after = load(scratch, product_before + n), load(scratch, product_after + n)
-                f = open_x * bounded(
-                    fourth_order(before, own, after), before, own, after, share_x, donor, maximum(there, zero)
+                donor = load(scratch, donors + n)
+                products = (
+                    load(scratch, product_before + n),
+                    load(scratch, product_x + n),
+                    load(scratch, product_after + n),
                 )
+                f = through_face(products, bend_x, share_x, (donor, load(scratch, donors_next + n)))
                 change = load(scratch, through_x + n) - f
                 store(scratch, through_x + n, f)
                 if has_y:
-                    there = fma(load(result, at + n + points_z), dt, load(g, base + n + points_z))
-                    own = load(scratch, product_y + n)
-                    before, after = (
+                    products = (
                         load(scratch, product_y + n - points_z),
+                        load(scratch, product_y + n),
                         load(scratch, product_y + n + points_z),
                     )
-                    f = bounded(
-                        fourth_order(before, own, after), before, own, after, share_y, donor, maximum(there, zero)
-                    )
-                    f = f * load(slab, Y_OPEN * slab_size + n)
+                    bend = load(slab, Y_BEND * slab_size + n)
+                    f = through_face(products, bend, share_y, (donor, load(scratch, donors + n + points_z)))
                     store(scratch, through_y + n, f)
                     change = change + (load(scratch, through_y + n - points_z) - f)
                 if has_z:
-                    there = fma(load(result, at + n + 1), dt, load(g, base + n + 1))
-                    own = load(scratch, product_z + n)
-                    before, after = load(scratch, product_z + n - 1), load(scratch, product_z + n + 1)
-                    f = bounded(
-                        fourth_order(before, own, after), before, own, after, share_z, donor, maximum(there, zero)
+                    products = (
+                        load(scratch, product_z + n - 1),
+                        load(scratch, product_z + n),
+                        load(scratch, product_z + n + 1),
                     )
-                    f = f * load(slab, Z_OPEN * slab_size + n)
+                    bend = load(slab, Z_BEND * slab_size + n)
+                    f = through_face(products, bend, share_z, (donor, load(scratch, donors + n + 1)))
                     change = change + (shifted(before_z, f) - f)
                     before_z = f
-                value = fma(change, dt, has) * weight_new
+                value = fma(load(result, at + n) + change, dt, load(g, base + n)) * weight_new
                 if mix_old:
                     value = fma(load(old, base + n), weight_old, value)
                 store(result, at + n, value)
         slope_next, slope_after = slope_after, slope_next
         product_before, product_x, product_after = product_x, product_after, product_before
+        donors, donors_next = donors_next, donors

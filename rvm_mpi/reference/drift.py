@@ -95,12 +95,12 @@ def relative_flux(a: Array, g: Array, axis: Array, mean: Array, T: Array) -> Arr
 def within(product: Array, most: Array) -> Array:
     """Fluxes whose difference is of fourth order, within what the nodes on both sides may lose.
 
-    That is `most` together; nearly all of it where the products' signs say that a node is passed through.
+    That is `most` together, nearly all of it with the products on both faces of the node.
     """
     before, after = beside(product, 1)[..., :-2], beside(product, 1)[..., 2:]
     flux = product - (after - 2.0 * product + before) / 24.0
-    up = np.where(before * product > 0.0, np.where(product > 0.0, 0.9375, 0.0625), 0.5)
-    down = np.where(product * after > 0.0, np.where(product > 0.0, 0.0625, 0.9375), 0.5)
+    up = np.where(before + product < 0.0, 0.125, 0.875)
+    down = np.where(product + after < 0.0, 0.875, 0.125)
     held = np.maximum(most, 0.0)
     return np.clip(flux, -down * held[..., 1:], up * held[..., :-1])
 
