@@ -21,7 +21,13 @@ TRIAD_SIZE = 4_000_000
 """Doubles of each of the three arrays that `triad_seconds` sums: more than a core's share of most caches."""
 STAGE_PER_TRIAD = ((4608, 3.5), (13824, 3.9), (32768, 4.5))
 """Time of a stage for a phase-space cell over that of a triad's element, by velocities (benchmarks/stages.py)."""
-STAGE_WITH_DRIFT = {"maxwellian": 1.3, "van-leer": 1.0, "kappa": 1.55, "seventh-order": 1.55, "seventh-order-positive": 1.75}
+STAGE_WITH_DRIFT = {
+    "maxwellian": 1.3,
+    "van-leer": 1.0,
+    "kappa": 1.55,
+    "seventh-order": 1.55,
+    "seventh-order-positive": 1.75,
+}
 """Time of a stage with each reconstruction of the drift over that with Van Leer's (benchmarks/drift_cost.py)."""
 STEP_PER_STAGES = 1.13
 """Time of a step over that of its stages: halo, fluid, reductions, diagnostics (benchmarks/step_parts.py)."""

@@ -14,7 +14,8 @@ import numpy as np
 from rvm_mpi.compiling.simd import LANES
 
 #: rows of `VelocityGrid.slab`
-Y, Z, Y_FACE, Z_FACE, VALID, Y_LEAST, Y_OPEN, Z_LEAST, Z_OPEN, EDGE, SPEED2, Y_QUARTER, Z_QUARTER, Y_BEND, Z_BEND, Z_TAPS = range(16)
+Y, Z, Y_FACE, Z_FACE, VALID, Y_LEAST, Y_OPEN, Z_LEAST, Z_OPEN, EDGE, SPEED2 = range(11)
+Y_QUARTER, Z_QUARTER, Y_BEND, Z_BEND, Z_TAPS = range(11, 16)
 #: smallest product of two differences that makes a slope (`limiter.van_leer3`)
 LEAST = 1e-180
 #: nodes around a face that the widest reconstruction takes

@@ -282,7 +282,8 @@ class Scheme(Section):
     """Discretisation."""
 
     drift: Literal["maxwellian", "van-leer", "kappa", "seventh-order", "seventh-order-positive"] = Field(
-        default="maxwellian", description='"maxwellian" | "van-leer" | "kappa" | "seventh-order" | "seventh-order-positive"'
+        default="maxwellian",
+        description='"maxwellian" | "van-leer" | "kappa" | "seventh-order" | "seventh-order-positive"',
     )
     conservative: Switch = Field(default=True, description="true | false")
 

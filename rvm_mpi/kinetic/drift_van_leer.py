@@ -6,7 +6,7 @@ import math
 
 from rvm_mpi.compiling.declare import part
 from rvm_mpi.compiling.simd import fma, load, prefetch, shifted, splat, store, upwind, where_positive
-from rvm_mpi.grid.velocity import LEAST, Y_FACE, Y_LEAST, Y_OPEN, Z_FACE, Z_LEAST, Z_OPEN, Y, Z
+from rvm_mpi.grid.velocity import LEAST, Y_FACE, Y_LEAST, Y_OPEN, Z_FACE, Z_LEAST, Z_OPEN, Y
 from rvm_mpi.kinetic.drift_speed import guard_of
 from rvm_mpi.kinetic.limiter import van_leer3
 

@@ -95,12 +95,13 @@ def relative_flux(a: Array, g: Array, axis: Array, mean: Array, T: Array) -> Arr
 def within(product: Array, most: Array) -> Array:
     """Fluxes whose difference is of fourth order, within what the nodes on both sides may lose.
 
-    That is `most` together, nearly all of it with the products on both faces of the node.
+    That is `most` together: half through each face, more where the products leave and less where they enter.
     """
     before, after = beside(product, 1)[..., :-2], beside(product, 1)[..., 2:]
     flux = product - (after - 2.0 * product + before) / 24.0
-    up = np.where(before + product < 0.0, 0.125, 0.875)
-    down = np.where(product + after < 0.0, 0.875, 0.125)
+    turned = 0.1875 * np.where(product < 0.0, -1.0, 1.0)
+    up = 0.5 + turned + 0.1875 * np.where(before < 0.0, -1.0, 1.0)
+    down = 0.5 - turned - 0.1875 * np.where(after < 0.0, -1.0, 1.0)
     held = np.maximum(most, 0.0)
     return np.clip(flux, -down * held[..., 1:], up * held[..., :-1])
 

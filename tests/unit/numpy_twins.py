@@ -104,7 +104,8 @@ def drift_rate(grid, g, turning, gradient, push, reconstruction="van-leer", stat
     temperature of the Maxwellian; loses: see `reference.drift`.
     """
     mean, temperature = np.reshape(state[0], (1, 1, 3)), np.full((1, 1), state[1])
-    rates = Turning(np.full((1, 1), turning), np.reshape(gradient, (2, 2, 1, 1)), np.reshape(push, (1, 1, 3)), mean, temperature)
+    push = np.reshape(push, (1, 1, 3))
+    rates = Turning(np.full((1, 1), turning), np.reshape(gradient, (2, 2, 1, 1)), push, mean, temperature)
     loses = g if loses is None else loses
     return drift(problem(grid, reconstruction), g[None, None], rates, loses[None, None])[0, 0]
 
