@@ -58,14 +58,6 @@ class Side(NamedTuple):
 
 
 @part
-def outgoing_face(g, inner, inward, at):  # type: ignore[no-untyped-def]
-    """g on the face for a velocity that leaves: the limited slope towards the extrapolation, cut at zero."""
-    here, before = g[inner + at], g[inner + inward + at]
-    a, b = here - before, max(2.0 * here - before, 0.0) - here
-    return here + (a * b / (a + b) if a * b > 0.0 else 0.0)
-
-
-@part
 def axis_gaussian(nodes, count, mean, variance, fit, factor):  # type: ignore[no-untyped-def]
     """factor = the discrete Gaussian of one axis with this mean and variance; its sum is one."""
     if count == 1:
@@ -188,6 +180,123 @@ def entering(side, state, omega, sums, grid, work, lack):  # type: ignore[no-unt
     return state[0] / grid.weight * (scale * c1 / first)
 
 
+@part
+def inward_speed(side, grid, k, j):  # type: ignore[no-untyped-def]
+    """Of the nodes (k, j, ...): xi_n along the inner normal."""
+    return side.sign * (grid.nodes[0, k] if side.axis == 0 else grid.nodes[1, j])
+
+
+@part
+def mirrored(side, grid, k, j):  # type: ignore[no-untyped-def]
+    """Place in a block of the first of the nodes that the side mirrors (k, j, ...) to."""
+    if side.axis == 0:
+        return (grid.points[0] - 1 - k) * grid.slab_size + j * grid.points[2]
+    return k * grid.slab_size + (grid.points[1] - 1 - j) * grid.points[2]
+
+
+@part
+def face_value(g, inner, inward):  # type: ignore[no-untyped-def]
+    """g on the face for a velocity that leaves, from its places: the limited slope towards the extrapolation."""
+    here, before = g[inner], g[inner + inward]
+    a, b = here - before, max(2.0 * here - before, 0.0) - here
+    return here + (a * b / (a + b) if a * b > 0.0 else 0.0)
+
+
+@part
+def specular(g, cell, side, grid):  # type: ignore[no-untyped-def]
+    """Ghost cells of a wall that mirrors: the gas that a mirrored domain beyond it would hold."""
+    near = cell - side.inward
+    for k in range(grid.points[0]):
+        for j in range(grid.points[1]):
+            at, there = k * grid.slab_size + j * grid.points[2], mirrored(side, grid, k, j)
+            for n in range(grid.points[2]):
+                g[near + at + n] = g[cell + there + n]
+                g[near - side.inward + at + n] = g[cell + side.inward + there + n]
+
+
+@part
+def outflow(g, cell, side, grid):  # type: ignore[no-untyped-def]
+    """Ghost cells of an open side: the inner cell's gas, whichever way it flies."""
+    near = cell - side.inward
+    for k in range(grid.points[0]):
+        for at in range(k * grid.slab_size, k * grid.slab_size + grid.points[1] * grid.points[2]):
+            g[near + at] = g[cell + at]
+            g[near - side.inward + at] = g[cell + at]
+
+
+@part
+def vacuum(g, cell, side, grid):  # type: ignore[no-untyped-def]
+    """Ghost cells of a side that sends nothing in; what leaves is extrapolated, cut at zero."""
+    near = cell - side.inward
+    for k in range(grid.points[0]):
+        for j in range(grid.points[1]):
+            enters = inward_speed(side, grid, k, j) > 0.0
+            first = k * grid.slab_size + j * grid.points[2]
+            for at in range(first, first + grid.points[2]):
+                value = 0.0 if enters else max(2.0 * g[cell + at] - g[cell + side.inward + at], 0.0)
+                g[near + at] = value
+                g[near - side.inward + at] = value
+
+
+@part
+def far_field(g, cell, side, grid, density, work):  # type: ignore[no-untyped-def]
+    """Ghost cells of a side that sends in the Maxwellian `density` times the factors in `work` (`entering`)."""
+    vacuum(g, cell, side, grid)
+    near = cell - side.inward
+    for k in range(grid.points[0]):
+        for j in range(grid.points[1]):
+            if inward_speed(side, grid, k, j) > 0.0:
+                at = near + k * grid.slab_size + j * grid.points[2]
+                for n in range(grid.points[2]):
+                    value = density * work[0, k] * work[1, j] * work[2, n]
+                    g[at + n] = value
+                    g[at - side.inward + n] = value
+
+
+@part
+def maxwell(g, cell, side, grid, density, work):  # type: ignore[no-untyped-def]
+    """Ghost cells of a wall that sends in a Maxwellian and, of what arrives, the share that it mirrors."""
+    far_field(g, cell, side, grid, density, work)
+    near, share = cell - side.inward, 1.0 - side.accommodation
+    if share == 0.0:
+        return
+    for k in range(grid.points[0]):
+        for j in range(grid.points[1]):
+            if inward_speed(side, grid, k, j) > 0.0:
+                at, there = near + k * grid.slab_size + j * grid.points[2], cell + mirrored(side, grid, k, j)
+                for n in range(grid.points[2]):
+                    value = share * face_value(g, there + n, side.inward)
+                    g[at + n] += value
+                    g[at - side.inward + n] += value
+
+
+@part
+def flux_in(side, grid, work):  # type: ignore[no-untyped-def]
+    """Sum over the nodes that enter of their inward speed times the factors in `work`."""
+    flux = 0.0
+    for k in range(grid.points[0]):
+        for j in range(grid.points[1]):
+            speed = inward_speed(side, grid, k, j)
+            if speed > 0.0:
+                for n in range(grid.points[2]):
+                    flux += speed * work[0, k] * work[1, j] * work[2, n]
+    return flux
+
+
+@part
+def flux_out(g, cell, side, grid):  # type: ignore[no-untyped-def]
+    """Sum over the nodes that leave of their outward speed times g on the face."""
+    flux = 0.0
+    for k in range(grid.points[0]):
+        for j in range(grid.points[1]):
+            speed = inward_speed(side, grid, k, j)
+            if not speed > 0.0:
+                at = cell + k * grid.slab_size + j * grid.points[2]
+                for n in range(grid.points[2]):
+                    flux -= speed * face_value(g, at + n, side.inward)
+    return flux
+
+
 @kernel
 def fill_side(g, side, states, omega, sums, grid, work, beyond):  # type: ignore[no-untyped-def]
     """Fill the ghost cells beyond one side of a rank.
@@ -207,53 +316,25 @@ def fill_side(g, side, states, omega, sums, grid, work, beyond):  # type: ignore
         Receives rates of mass (none), momentum and energy through the faces, counted along the axis, that the side's
         state has beyond what the nodes of its ghost cells have.
     """
-    nvx, nvy, nvz = grid.points
-    size, lack = grid.slab_size, work[5]
+    beyond[:] = 0.0
+    lack = work[5]
     for c in range(omega.size):
         cell = side.inner + c * side.along
-        near, far = cell - side.inward, cell - 2 * side.inward
-        for q in range(5):
-            beyond[c, q] = 0.0
         if side.kind == SPECULAR:
-            for k in range(nvx):
-                for j in range(nvy):
-                    mirrored = ((nvx - 1 - k) * size + j * nvz) if side.axis == 0 else (k * size + (nvy - 1 - j) * nvz)
-                    at = k * size + j * nvz
-                    for n in range(nvz):
-                        g[near + at + n] = g[cell + mirrored + n]
-                        g[far + at + n] = g[cell + side.inward + mirrored + n]
-            continue
-        scale = 0.0
-        if side.kind == MAXWELL or side.kind == FAR_FIELD:
-            scale = entering(side, states[c], omega[c], sums[c], grid, work, lack)
-            arriving, leaving = 0.0, 0.0
-            for k in range(nvx):
-                for j in range(nvy):
-                    speed = side.sign * (grid.nodes[0, k] if side.axis == 0 else grid.nodes[1, j])
-                    for n in range(nvz):
-                        if speed > 0.0:
-                            arriving += speed * work[0, k] * work[1, j] * work[2, n]
-                        elif side.kind == MAXWELL:
-                            leaving -= speed * outgoing_face(g, cell, side.inward, k * size + j * nvz + n)
+            specular(g, cell, side, grid)
+        elif side.kind == OUTFLOW:
+            outflow(g, cell, side, grid)
+        elif side.kind == VACUUM:
+            vacuum(g, cell, side, grid)
+        else:
+            density = entering(side, states[c], omega[c], sums[c], grid, work, lack)
+            arriving = flux_in(side, grid, work)
             if side.kind == MAXWELL:
-                scale = side.accommodation * leaving / arriving
-            mass = side.rate * grid.weight * omega[c] * scale * arriving
+                density = side.accommodation * flux_out(g, cell, side, grid) / arriving
+                maxwell(g, cell, side, grid, density, work)
+            else:
+                far_field(g, cell, side, grid, density, work)
+            mass = side.rate * grid.weight * omega[c] * density * arriving
             for q in range(1, 5):
                 # inward momentum along the normal counts the same whichever way the axis points
                 beyond[c, q] = mass * lack[q] * (1.0 if q == 1 + side.axis else side.sign)
-        for k in range(nvx):
-            for j in range(nvy):
-                speed = side.sign * (grid.nodes[0, k] if side.axis == 0 else grid.nodes[1, j])
-                mirrored = ((nvx - 1 - k) * size + j * nvz) if side.axis == 0 else (k * size + (nvy - 1 - j) * nvz)
-                for n in range(nvz):
-                    at = k * size + j * nvz + n
-                    if side.kind == OUTFLOW:
-                        value = g[cell + at]
-                    elif speed > 0.0:
-                        value = scale * work[0, k] * work[1, j] * work[2, n] if side.kind != VACUUM else 0.0
-                        if side.kind == MAXWELL and side.accommodation < 1.0:
-                            value += (1.0 - side.accommodation) * outgoing_face(g, cell, side.inward, mirrored + n)
-                    else:
-                        value = max(2.0 * g[cell + at] - g[cell + side.inward + at], 0.0)
-                    g[near + at] = value
-                    g[far + at] = value
