@@ -18,6 +18,10 @@ from rvm_mpi.job.text import JobError
 T = TypeVar("T")
 
 
+class NotCompiled(RuntimeError):
+    """The kernels could not be compiled; raised on every rank, with the same line."""
+
+
 class DiskFailure(OSError):
     """Something could not be written; raised on every rank, with the same line."""
 

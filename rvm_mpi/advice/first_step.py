@@ -90,11 +90,12 @@ def _cell_rates(job: Job, start: StartFields) -> tuple[CellRates, np.ndarray, np
     growth = _growth(job, start) * across
     drift += growth
     drag, answering = np.zeros(start.omega.shape), np.zeros(start.omega.shape)
-    haff = _haff_rate(job, start)
     if job.collision.explicit and job.scaling.kind != "none":
-        drift += haff * across  # by d_t omega, which no drag cancels
-        answering = time_limits.answering_rate(2 * haff, drift, across)
+        cooling = _cooling_rate(job, start)
+        drift += 0.5 * cooling * across  # by d_t omega, which no drag cancels
+        answering = time_limits.answering_rate(cooling, drift, across)
     if job.scaling.kind == "none" and not job.collision.explicit:
+        haff = _haff_rate(job, start)
         for axis, h in enumerate(velocity.spacing):
             drag += haff * (velocity.half_width[axis] + np.abs(start.velocity[..., axis])) / h
         drift += drag

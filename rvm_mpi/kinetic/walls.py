@@ -58,6 +58,14 @@ class Side(NamedTuple):
 
 
 @part
+def outgoing_face(g, inner, inward, at):  # type: ignore[no-untyped-def]
+    """g on the face for a velocity that leaves: the limited slope towards the extrapolation, cut at zero."""
+    here, before = g[inner + at], g[inner + inward + at]
+    a, b = here - before, max(2.0 * here - before, 0.0) - here
+    return here + (a * b / (a + b) if a * b > 0.0 else 0.0)
+
+
+@part
 def axis_gaussian(nodes, count, mean, variance, fit, factor):  # type: ignore[no-untyped-def]
     """factor = the discrete Gaussian of one axis with this mean and variance; its sum is one."""
     if count == 1:
@@ -195,14 +203,6 @@ def mirrored(side, grid, k, j):  # type: ignore[no-untyped-def]
 
 
 @part
-def face_value(g, inner, inward):  # type: ignore[no-untyped-def]
-    """g on the face for a velocity that leaves, from its places: the limited slope towards the extrapolation."""
-    here, before = g[inner], g[inner + inward]
-    a, b = here - before, max(2.0 * here - before, 0.0) - here
-    return here + (a * b / (a + b) if a * b > 0.0 else 0.0)
-
-
-@part
 def specular(g, cell, side, grid):  # type: ignore[no-untyped-def]
     """Ghost cells of a wall that mirrors: the gas that a mirrored domain beyond it would hold."""
     near = cell - side.inward
@@ -263,9 +263,9 @@ def maxwell(g, cell, side, grid, density, work):  # type: ignore[no-untyped-def]
     for k in range(grid.points[0]):
         for j in range(grid.points[1]):
             if inward_speed(side, grid, k, j) > 0.0:
-                at, there = near + k * grid.slab_size + j * grid.points[2], cell + mirrored(side, grid, k, j)
+                at, there = near + k * grid.slab_size + j * grid.points[2], mirrored(side, grid, k, j)
                 for n in range(grid.points[2]):
-                    value = share * face_value(g, there + n, side.inward)
+                    value = share * outgoing_face(g, cell, side.inward, there + n)
                     g[at + n] += value
                     g[at - side.inward + n] += value
 
@@ -291,9 +291,9 @@ def flux_out(g, cell, side, grid):  # type: ignore[no-untyped-def]
         for j in range(grid.points[1]):
             speed = inward_speed(side, grid, k, j)
             if not speed > 0.0:
-                at = cell + k * grid.slab_size + j * grid.points[2]
+                at = k * grid.slab_size + j * grid.points[2]
                 for n in range(grid.points[2]):
-                    flux -= speed * face_value(g, at + n, side.inward)
+                    flux -= speed * outgoing_face(g, cell, side.inward, at + n)
     return flux
 
 

@@ -14,6 +14,7 @@ import traceback
 from pathlib import Path
 from typing import Any
 
+from rvm_mpi.agree import NotCompiled
 from rvm_mpi.job.text import JobError, one_line
 from rvm_mpi.output.rundir import ENDED
 from rvm_mpi.run.launch import LaunchError, launched
@@ -87,13 +88,16 @@ def write_traceback(error: BaseException, log: Path) -> None:
 def fail(error: BaseException) -> int:
     """End a failed run: one line from the failing rank; returns exit status 3.
 
-    Every other rank is ended with it: MPI would leave them waiting for ever. RVM_DEBUG=1 in the environment prints the
-    traceback.
+    Every other rank is ended with it: MPI would leave them waiting for ever; unless they know, when rank 0 speaks for
+    all. RVM_DEBUG=1 in the environment prints the traceback.
     """
     communicator = _communicator()
+    told = isinstance(error, NotCompiled)
+    if told and _rank() > 0:
+        return FAILED
     if os.environ.get("RVM_DEBUG", "0") not in ("", "0"):
         tell(_details(error).rstrip())
-    tell(f"rvm: {_in_one_line(error)}")
-    if communicator is not None:
+    tell(f"rvm: {error if told else _in_one_line(error)}")
+    if communicator is not None and not told:
         communicator.Abort(FAILED)
     return FAILED

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from rvm_mpi.output.disk import free_name
+from rvm_mpi.step.failure import PROBLEMS
 
 if TYPE_CHECKING:
     from rvm_mpi.simulation import Simulation
@@ -89,16 +90,31 @@ def _is_here(sim: Simulation, cell: tuple[int, int]) -> bool:
 
 
 def _cell(sim: Simulation, cell: tuple[int, int]) -> dict[str, Any]:
-    """Sums, omega, carried moments and the moments of f of one of this rank's cells."""
+    """What is known of one of this rank's cells: `start` is what the step began with, `stage` what the last stage read.
+
+    `result` is what it wrote, as far as it came; `sums` are those of 1, xi, xi xi times g over the nodes.
+    """
+    kinetic, units = sim.kinetic, sim.kinetic.units
     i, j = cell[0] - sim.domain.start[0], cell[1] - sim.domain.start[1]
-    report = sim.kinetic.cell_report(i, j)
-    for name in ("start", "stage", "result"):
-        state = report[name]
-        volume = sim.kinetic.grid.weight / sim.kinetic.units.g
-        state.update(_moments(state["sums"], state["omega"], sim.kinetic.grid.dimensions, volume))
+    found: dict[str, Any] = {
+        "cell": cell,
+        "position": sim.domain.centre(cell),
+        "rank": sim.domain.rank,
+        "status": PROBLEMS.get(int(kinetic.report["status"][j, i]), "healthy"),
+        "transport_rate": float(kinetic.report["transport"][j, i]),
+        "drift_rate": float(kinetic.report["drift"][j, i]),
+        "cooling_rate": float(kinetic.report["cooling_rate"][j, i]),
+    }
+    speed, volume = units.velocity, kinetic.grid.weight / units.g
+    xi = np.array([1.0, *[speed] * 3, *[speed * speed] * 6])
+    for name, cells in (("start", kinetic.now), ("stage", kinetic.last.begin), ("result", kinetic.last.new)):
+        omega, sums = float(kinetic.inside(cells.omega)[j, i]) / speed, cells.sums[j, i] * units.g * xi
+        found[name] = {"omega": omega, "sums": sums, **_moments(sums, omega, kinetic.grid.dimensions, volume)}
+        if kinetic.model.carried:
+            found[name]["carried"] = cells.carried[j, i]
     if sim.fluid is not None:
-        report["fluid"] = sim.fluid.interior[j, i]
-    return {"cell": cell, "position": sim.domain.centre(cell), "rank": sim.domain.rank, **report}
+        found["fluid"] = sim.fluid.interior[j, i]
+    return found
 
 
 def _moments(sums: np.ndarray, omega: float, d: int, weight: float) -> dict[str, Any]:
@@ -111,9 +127,12 @@ def _moments(sums: np.ndarray, omega: float, d: int, weight: float) -> dict[str,
 
 def _velocities(sim: Simulation, cell: tuple[int, int]) -> dict[str, Any]:
     """Marginals of g of one of this rank's cells along each axis in use, and g itself if it is small."""
-    grid, units = sim.kinetic.velocity_grid, sim.kinetic.units
+    kinetic, grid, units = sim.kinetic, sim.kinetic.velocity_grid, sim.kinetic.units
     i, j = cell[0] - sim.domain.start[0], cell[1] - sim.domain.start[1]
-    blocks = sim.kinetic.blocks(i, j)
+    blocks = {
+        name: grid.unpack(kinetic.inside(g)[j, i]) * units.g
+        for name, g in (("stage", kinetic.last.g), ("result", kinetic.last.out))
+    }
     marginals = {}
     for name, block in blocks.items():
         for q in range(grid.dimensions):

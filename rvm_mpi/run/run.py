@@ -13,7 +13,7 @@ from typing import Any
 
 from rvm_mpi import time_limits
 from rvm_mpi.advice.accuracy import GridWatch
-from rvm_mpi.agree import DiskFailure, agreed_on_disk, on_rank_0
+from rvm_mpi.agree import DiskFailure, NotCompiled, agreed_on_disk, on_rank_0
 from rvm_mpi.job.job import Job, JobError
 from rvm_mpi.output import checkpoint, rundir
 from rvm_mpi.output.fields import FieldsFile, check_times
@@ -76,7 +76,7 @@ def run_job(
             try:
                 prepare(MPI.COMM_WORLD, tell if launched().rank == 0 and not quiet else lambda _: None)
                 return _run_claimed(job, claim, control, restart, overwrite, quiet)
-            except JobError:
+            except (JobError, NotCompiled):
                 raise
             except Exception as error:
                 claim.note(error)

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+from rvm_mpi.agree import NotCompiled, agreed
 from rvm_mpi.compiling.declare import all_compiled, note_all_compiled
 from rvm_mpi.job.job import Job
 
@@ -79,14 +80,21 @@ def compile_kernels(say: Callable[[str], None]) -> None:
 
 
 def prepare(comm: Any, say: Callable[[str], None]) -> None:
-    """Have one rank of each node compile what is not on disk yet, the others of the node wait; collective."""
+    """Have one rank of each node compile what is not on disk yet, the others wait; collective.
+
+    Raises
+    ------
+    NotCompiled
+        On every rank if one could not, for whatever reason.
+    """
     from mpi4py import MPI
 
     from rvm_mpi.grid.domain import start_petsc
 
     start_petsc()  # by all ranks: the small jobs are those of single ones
     node = comm.Split_type(MPI.COMM_TYPE_SHARED)
-    if node.rank == 0 and not all_compiled():
-        compile_kernels(say)
-    node.Barrier()
+    compiles = node.rank == 0
     node.Free()
+    with agreed(comm, lambda why: NotCompiled(f"the kernels cannot be compiled: {why} (rank {comm.rank})")):
+        if compiles and not all_compiled():
+            compile_kernels(say)

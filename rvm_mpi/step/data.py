@@ -5,7 +5,7 @@ Sums over the velocity grid are plain sums over its nodes, without the volume of
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -16,6 +16,9 @@ from rvm_mpi.kinetic import drift
 from rvm_mpi.kinetic.conservation import SUMS, Correction
 from rvm_mpi.kinetic.gaussian import Fit, Gaussian
 from rvm_mpi.kinetic.transport import PIECE, Strips
+
+if TYPE_CHECKING:
+    from rvm_mpi.job.job import Job
 
 #: what a cell's `status` says
 HEALTHY, TOO_COLD_FOR_GRID, NO_GAUSSIAN, NO_CORRECTION, NOT_POSITIVE, NOT_A_NUMBER = range(6)
@@ -113,6 +116,30 @@ class Model(NamedTuple):
     temperature_power: float
     cooling: float
     courant: float
+
+
+#: Courant number up to which Van Leer's limiter keeps g positive
+POSITIVE = 0.5
+
+
+def physics(job: Job) -> Model:
+    """The job's physics as the numbers the kernels take."""
+    collision = job.collision
+    law, knudsen, prandtl = collision.relaxation, collision.knudsen, collision.prandtl
+    collisions = bool(collision.penalise) or (law is not None and knudsen is not None)
+    return Model(
+        kinetic=job.scaling.kind == "kinetic",
+        conservative=bool(job.scheme.conservative),
+        carried=job.scaling.kind == "kinetic" or bool(job.scheme.conservative),
+        relaxes=collisions,
+        explicit=collision.explicit,
+        nu=1.0 - 1.0 / prandtl if collisions and prandtl is not None else 0.0,
+        relaxation=law.coefficient / knudsen if law is not None and knudsen is not None else 0.0,
+        density_power=law.density_power if law is not None else 0.0,
+        temperature_power=law.temperature_power if law is not None else 0.0,
+        cooling=0.0 if collision.explicit else collision.cooling,
+        courant=job.time.cfl or POSITIVE,
+    )
 
 
 class Cells(NamedTuple):

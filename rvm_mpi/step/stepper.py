@@ -7,11 +7,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from rvm_mpi import time_limits
+from rvm_mpi.agree import raise_on_all
 from rvm_mpi.collisions.penalised import ExplicitOperator
 from rvm_mpi.grid.velocity import VelocityGrid
 from rvm_mpi.job.job import JobError
@@ -25,14 +26,14 @@ from rvm_mpi.step.data import (
     REPORT,
     Cells,
     Fields,
-    Model,
     Sides,
     Space,
     kernel_grid,
     lay_out,
+    physics,
     work_space,
 )
-from rvm_mpi.step.failure import PROBLEMS, fail, first_cell
+from rvm_mpi.step.failure import fail, first_cell
 from rvm_mpi.step.ghosts import GHOSTS, SIDES, GhostCells
 from rvm_mpi.step.initial import Sampler, fill_gaussians
 from rvm_mpi.step.relaxation import DEEPEST
@@ -43,9 +44,6 @@ from rvm_mpi.units import GasUnits
 if TYPE_CHECKING:
     from rvm_mpi.grid.domain import Domain
     from rvm_mpi.job.job import Job
-
-#: Courant number up to which Van Leer's limiter keeps g positive
-POSITIVE = 0.5
 
 
 class Swept(NamedTuple):
@@ -135,7 +133,7 @@ class KineticStepper:
         half_width = tuple(v / self.units.velocity for v in job.velocity.half_width)
         self.velocity_grid = VelocityGrid.create(job.velocity.points, half_width, self.units.density)
         self.grid = kernel_grid(self.velocity_grid, job.scheme.drift)
-        self.model = _model(job)
+        self.model = physics(job)
         wy, wx = domain.ghosts(GHOSTS)
         nx, ny = domain.local
         per = [1.0 / h if q < domain.dimensions else 0.0 for q, h in enumerate(domain.spacing)]
@@ -215,9 +213,7 @@ class KineticStepper:
 
     def _refuse(self, problem: str) -> None:
         """JobError on every rank if any of them has found something, the same line on all; collective."""
-        found = [one for one in self.domain.comm.allgather(problem) if one]
-        if found:
-            raise JobError(f"{self.job.name}: {found[0]}")
+        raise_on_all(self.domain.comm, JobError(f"{self.job.name}: {problem}") if problem else None)
 
     def refresh_sums(self) -> None:
         """Measure the sums of g over the nodes."""
@@ -382,35 +378,6 @@ class KineticStepper:
         column = self.report["cooling_rate"] if cooling else self.cell_rates().at(share)
         return first_cell(self.domain, np.argwhere(column == self.domain.maximum(float(column.max()))[0]))
 
-    def cell_report(self, i: int, j: int) -> dict[str, Any]:
-        """What is known of cell (i, j) of this rank when a run fails: arrays and numbers by name.
-
-        `start` is what the step began with, `stage` what the last stage read, `result` what it wrote, as far as it
-        came; `sums` are those of 1, xi, xi xi times g over the nodes.
-        """
-        begin, new = self.last.begin, self.last.new
-        report: dict[str, Any] = {
-            "status": PROBLEMS.get(int(self.report["status"][j, i]), "healthy"),
-            "transport_rate": float(self.report["transport"][j, i]),
-            "drift_rate": float(self.report["drift"][j, i]),
-            "cooling_rate": float(self.report["cooling_rate"][j, i]),
-        }
-        for name, cells in (("start", self.now), ("stage", begin), ("result", new)):
-            speed = self.units.velocity
-            xi = np.array([1.0, *[speed] * 3, *[speed * speed] * 6])
-            omega = float(self.inside(cells.omega)[j, i]) / speed
-            report[name] = {"omega": omega, "sums": cells.sums[j, i] * self.units.g * xi}
-            if self.model.carried:
-                report[name]["carried"] = cells.carried[j, i]
-        return report
-
-    def blocks(self, i: int, j: int) -> dict[str, np.ndarray]:
-        """g of cell (i, j) of this rank that the last stage read and wrote, (points_x, points_y, points_z)."""
-        return {
-            name: self.velocity_grid.unpack(self.inside(g)[j, i]) * self.units.g
-            for name, g in (("stage", self.last.g), ("result", self.last.out))
-        }
-
     def fields(self) -> dict[str, np.ndarray]:
         """Moments of f on this rank's cells (`moments.fields`)."""
         return fields(self.g, self.inside(self.now.omega), self.now.sums, self.space, self.grid)
@@ -441,23 +408,3 @@ class KineticStepper:
     def marginal_nodes(self) -> np.ndarray:
         """xi_x of the nodes, (points,), in the job's units."""
         return self.velocity_grid.x * self.units.velocity
-
-
-def _model(job: Job) -> Model:
-    """The job's physics as the numbers the kernels take."""
-    collision = job.collision
-    law, knudsen, prandtl = collision.relaxation, collision.knudsen, collision.prandtl
-    collisions = bool(collision.penalise) or (law is not None and knudsen is not None)
-    return Model(
-        kinetic=job.scaling.kind == "kinetic",
-        conservative=bool(job.scheme.conservative),
-        carried=job.scaling.kind == "kinetic" or bool(job.scheme.conservative),
-        relaxes=collisions,
-        explicit=collision.explicit,
-        nu=1.0 - 1.0 / prandtl if collisions and prandtl is not None else 0.0,
-        relaxation=law.coefficient / knudsen if law is not None and knudsen is not None else 0.0,
-        density_power=law.density_power if law is not None else 0.0,
-        temperature_power=law.temperature_power if law is not None else 0.0,
-        cooling=0.0 if collision.explicit else collision.cooling,
-        courant=job.time.cfl or POSITIVE,
-    )

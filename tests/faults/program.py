@@ -32,9 +32,11 @@ from rvm_mpi.output.fields import FieldsFile
 from rvm_mpi.output.history import History
 from rvm_mpi.output.restart import Checkpoint
 from rvm_mpi.output.xdmf import Xdmf
+from rvm_mpi.run import warm
 from rvm_mpi.step import stepper as stepping
 
 POINTS = {
+    "compile": (warm, "all_compiled"),
     "read": (Job, "from_file"),
     "prepare": (rundir, "prepare"),
     "init": (stepping.KineticStepper, "__init__"),

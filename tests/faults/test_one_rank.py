@@ -9,6 +9,7 @@ pytestmark = pytest.mark.timeout(600)
 
 #: where the exception comes, on which rank, and whether there are checkpoints by then
 ERRORS = {
+    "compiling": ("error:compile:0:1", False),
     "init": ("error:init:1:1", False),
     "rank 0 at init": ("error:init:0:1", False),
     "opening the results": ("hdf5:open:2:1", False),
@@ -21,7 +22,7 @@ ERRORS = {
     "checkpoint": ("hdf5:blocks:1:4", True),
     "rank 0 in a checkpoint": ("error:create:0:4", True),
 }
-QUICK = ("step", "rank 0 in a step", "fields")
+QUICK = ("compiling", "step", "rank 0 in a step", "fields")
 
 
 @pytest.mark.parametrize(

@@ -15,6 +15,7 @@ from rvm_mpi.commands import bench
 from rvm_mpi.grid.domain import aligned
 from rvm_mpi.job.job import Job, JobError
 from rvm_mpi.kinetic import drift
+from rvm_mpi.simulation import Simulation
 
 
 def make(initial=None, cells=(64, 64), points=(24, 24, 8), half_width=7.0, collision=None, **tables):
@@ -177,6 +178,21 @@ def test_first_step_against_a_loop_over_cells():
         substeps = [ceil(dt * drift / 0.5) if dt * (transport + drift) > most else 0 for transport, drift in cells]
         costs[(120 + 0.3 * sum(substeps)) / dt] = dt
     assert first_step.first_step(job).dt == pytest.approx(costs[min(costs)], rel=1e-12)
+
+
+@pytest.mark.parametrize("speed", [0.0, 1.0])
+def test_drift_of_a_granular_boltzmann_gas_is_what_its_run_measures(speed):
+    """omega follows all of the energy, of which a moving gas cools a part only."""
+    job = make(
+        {"state": "uniform", "velocity": [speed, 0.0]}, cells=(), points=(36, 36), half_width=8.0,
+        collision={"operator": "boltzmann", "knudsen": 0.1, "restitution": 0.8, "penalise": True},
+        scaling={"kind": "kinetic"},
+    )  # fmt: skip
+    stepper = Simulation(job).kinetic
+    stepper.first_stage(0.0)
+    cells, _, _ = first_step._cell_rates(job, initial.start_fields(job))
+    assert cells.drift == pytest.approx(stepper.cell_rates().drift, rel=0.05)
+    assert cells.answering == pytest.approx(stepper.cell_rates().answering, rel=0.05)
 
 
 def test_which_limit_binds():

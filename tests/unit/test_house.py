@@ -21,7 +21,7 @@ ROOMS = [
 #: importer and imported
 UPWARD: set[tuple[str, str]] = {("collisions.penalised", "time_limits")}
 CIRCLES: set[tuple[str, ...]] = set()
-LONG: set[str] = {"step.stepper"}
+LONG: set[str] = set()
 MANY_ARGUMENTS: set[str] = {
     "collisions.boltzmann.add_line",
     "collisions.boltzmann.add_pairs",

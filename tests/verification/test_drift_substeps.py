@@ -16,8 +16,8 @@ JOBS = Path(__file__).resolve().parents[2] / "jobs"
 @pytest.fixture
 def always_substeps(monkeypatch):
     """Every drift counts as too fast."""
-    model = stepping._model
-    monkeypatch.setattr(stepping, "_model", lambda job: model(job)._replace(courant=0.01))
+    model = stepping.physics
+    monkeypatch.setattr(stepping, "physics", lambda job: model(job)._replace(courant=0.01))
 
 
 @pytest.mark.parametrize("eps", [1.0, 1e-6])
