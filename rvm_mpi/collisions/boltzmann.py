@@ -22,7 +22,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import prod
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import pyfftw
@@ -41,13 +41,41 @@ BATCH_NODES = 2048
 DOUBLE = 8
 
 
+class Modes(NamedTuple):
+    """The modes -M..M of each axis of eight cells, the cells innermost: ((2 mx + 1)(2 my + 1)(2 mz + 1) 8,) arrays."""
+
+    re: np.ndarray
+    im: np.ndarray
+
+
+class DoubleSum(NamedTuple):
+    """What the double sum visits, and its weights.
+
+    Attributes
+    ----------
+    pairs : (pairs, 4) array
+        `Rows.pairs`.
+    kind : (blocks,) array
+        2 where k's row is not the middle one, plus 1 where l and m have the same row.
+    offsets, weights : arrays
+        `Rows.offsets`, `compute_weights`.
+    """
+
+    pairs: np.ndarray
+    kind: np.ndarray
+    offsets: np.ndarray
+    weights: np.ndarray
+
+
 @part
-def gather(spectrum, start, nx, ny, nz, mx, my, mz, scale, re, im):  # type: ignore[no-untyped-def]
-    """The modes -M..M of each axis, real and imaginary parts apart, eight cells innermost, from a half spectrum.
+def gather(spectrum, start, points, highest, scale, modes):  # type: ignore[no-untyped-def]
+    """Modes from a half spectrum, real and imaginary parts apart.
 
     spectrum, start : (nx, ny, nz // 2 + 1, 8) complex numbers as pairs, from this place of a flat array on
-    re, im : ((2 mx + 1)(2 my + 1)(2 mz + 1) 8,) arrays, overwritten
+    points, highest : (nx, ny, nz), (mx, my, mz)
+    modes : Modes, overwritten
     """
+    (nx, ny, nz), (mx, my, mz) = points, highest
     middle = ((mx * (2 * my + 1) + my) * (2 * mz + 1) + mz) * LANES
     for x in range(-mx, mx + 1):
         for y in range(-my, my + 1):
@@ -57,16 +85,17 @@ def gather(spectrum, start, nx, ny, nz, mx, my, mz, scale, re, im):  # type: ign
                 n = source + z * 2 * LANES
                 real, imaginary = apart(load(spectrum, n), load(spectrum, n + LANES))
                 place = row + z * LANES
-                store(re, middle + place, real * scale)
-                store(im, middle + place, imaginary * scale)
+                store(modes.re, middle + place, real * scale)
+                store(modes.im, middle + place, imaginary * scale)
                 if z > 0:
-                    store(re, middle - place, real * scale)
-                    store(im, middle - place, imaginary * -scale)
+                    store(modes.re, middle - place, real * scale)
+                    store(modes.im, middle - place, imaginary * -scale)
 
 
 @part
-def scatter(re, im, nx, ny, nz, mx, my, mz, spectrum, start):  # type: ignore[no-untyped-def]
+def scatter(modes, points, highest, spectrum, start):  # type: ignore[no-untyped-def]
     """The half spectrum of the modes after the middle one, in the layouts of `gather`; the rest follows or is zero."""
+    (nx, ny, nz), (mx, my, mz) = points, highest
     middle = ((mx * (2 * my + 1) + my) * (2 * mz + 1) + mz) * LANES
     spectrum[start : start + nx * ny * (nz // 2 + 1) * 2 * LANES] = 0.0
     for x in range(-mx, mx + 1):
@@ -80,46 +109,51 @@ def scatter(re, im, nx, ny, nz, mx, my, mz, spectrum, start):  # type: ignore[no
                 # -k holds the complex conjugate of k
                 sign = 1.0 if place > 0 else -1.0
                 place = abs(place) + middle
-                low, high = together(load(re, place), load(im, place) * sign)
+                low, high = together(load(modes.re, place), load(modes.im, place) * sign)
                 store(spectrum, target + z * 2 * LANES, low)
                 store(spectrum, target + z * 2 * LANES + LANES, high)
 
 
 @part
-def add_line(weights, start, count, re, im, left, right, step, q_re, q_im, place):  # type: ignore[no-untyped-def]
-    """q += sum_j weights[start + j] g[left + j step] g[right - j step]: complex g, real weights, eight cells."""
+def add_line(weights, start, count, g, q, line):  # type: ignore[no-untyped-def]
+    """q[place] += sum_j weights[start + j] g[left + j] g[right - j]: complex g, real weights, eight cells.
+
+    line : places left, right and place in g, g and q; j counts modes
+    """
+    left, right, place = line
     zero = splat(0.0)
     r1, r2, i1, i2 = zero, zero, zero, zero
     for j in range(count):
         w = spread(weights, start + j)
-        a, b = load(re, left) * w, load(im, left) * w
-        c, d = load(re, right), load(im, right)
+        a, b = load(g.re, left) * w, load(g.im, left) * w
+        c, d = load(g.re, right), load(g.im, right)
         r1, r2 = r1 + a * c, r2 + b * d
         i1, i2 = i1 + a * d, i2 + b * c
-        left += step
-        right -= step
-    store(q_re, place, load(q_re, place) + (r1 - r2))
-    store(q_im, place, load(q_im, place) + (i1 + i2))
+        left += LANES
+        right -= LANES
+    store(q.re, place, load(q.re, place) + (r1 - r2))
+    store(q.im, place, load(q.im, place) + (i1 + i2))
 
 
 @part
-def add_two_lines(weights, start, count, re, im, left, right, q_re, q_im, place, centre):  # type: ignore[no-untyped-def]
+def add_two_lines(weights, start, count, g, q, line, centre):  # type: ignore[no-untyped-def]
     """`add_line` for a line upwards and for the line with the opposite modes of the same rows.
 
-    centre : place of mode 0 in the rows of l, of m and of k; left, right and place are relative to it.
+    centre : place of mode 0 in the rows of l, of m and of k; those of the line are relative to it.
     """
+    left, right, place = line
     zero = splat(0.0)
     r1, r2, i1, i2 = zero, zero, zero, zero
     s1, s2, j1, j2 = zero, zero, zero, zero
     l_up, l_down, m_up, m_down = centre[0] + left, centre[0] - left, centre[1] + right, centre[1] - right
     for j in range(count):
         w = spread(weights, start + j)
-        a, b = load(re, l_up) * w, load(im, l_up) * w
-        c, d = load(re, m_up), load(im, m_up)
+        a, b = load(g.re, l_up) * w, load(g.im, l_up) * w
+        c, d = load(g.re, m_up), load(g.im, m_up)
         r1, r2 = r1 + a * c, r2 + b * d
         i1, i2 = i1 + a * d, i2 + b * c
-        a, b = load(re, l_down) * w, load(im, l_down) * w
-        c, d = load(re, m_down), load(im, m_down)
+        a, b = load(g.re, l_down) * w, load(g.im, l_down) * w
+        c, d = load(g.re, m_down), load(g.im, m_down)
         s1, s2 = s1 + a * c, s2 + b * d
         j1, j2 = j1 + a * d, j2 + b * c
         l_up += LANES
@@ -127,58 +161,52 @@ def add_two_lines(weights, start, count, re, im, left, right, q_re, q_im, place,
         m_up -= LANES
         m_down += LANES
     up, down = centre[2] + place, centre[2] - place
-    store(q_re, up, load(q_re, up) + (r1 - r2))
-    store(q_im, up, load(q_im, up) + (i1 + i2))
-    store(q_re, down, load(q_re, down) + (s1 - s2))
-    store(q_im, down, load(q_im, down) + (j1 + j2))
+    store(q.re, up, load(q.re, up) + (r1 - r2))
+    store(q.im, up, load(q.im, up) + (i1 + i2))
+    store(q.re, down, load(q.re, down) + (s1 - s2))
+    store(q.im, down, load(q.im, down) + (j1 + j2))
 
 
 @part
-def add_pairs(pairs, kind, offsets, weights, modes, re, im, q_re, q_im):  # type: ignore[no-untyped-def]
+def add_pairs(double_sum, highest, g, q):  # type: ignore[no-untyped-def]
     """q_k += sum over the pairs of rows of W g_l g_m: the double sum, for eight cells.
 
-    pairs : (pairs, 4) array, `Rows.pairs`
-    kind : (blocks,) array, 2 where k's row is not the middle one, plus 1 where l and m have the same row
-    offsets, weights : `Rows.offsets`, `compute_weights`
-    modes : M of the last axis
-    re, im, q_re, q_im : modes in the layout of `gather`
+    double_sum : DoubleSum
+    highest : M of the last axis
+    g, q : Modes
     """
-    length = (2 * modes + 1) * LANES
+    pairs, kind, offsets, weights = double_sum
+    length = (2 * highest + 1) * LANES
     for pair in range(pairs.shape[0]):
         block = pairs[pair, 3]
         start = offsets[block]
         mirror, same = kind[block] >= 2, kind[block] % 2 == 1
-        l_row = pairs[pair, 0] * length + modes * LANES
-        m_row = pairs[pair, 1] * length + modes * LANES
-        k_row = pairs[pair, 2] * length + modes * LANES
+        l_row = pairs[pair, 0] * length + highest * LANES
+        m_row = pairs[pair, 1] * length + highest * LANES
+        k_row = pairs[pair, 2] * length + highest * LANES
         centre = (l_row, m_row, k_row)
-        for k in range(0 if mirror else 1, modes + 1):
-            first = k - modes
-            count = (k // 2 if same else modes) - first + 1
-            left, right, place = first * LANES, modes * LANES, k * LANES
+        for k in range(0 if mirror else 1, highest + 1):
+            first = k - highest
+            count = (k // 2 if same else highest) - first + 1
+            left, right, place = first * LANES, highest * LANES, k * LANES
             if mirror and k > 0:
-                add_two_lines(weights, start, count, re, im, left, right, q_re, q_im, place, centre)
+                add_two_lines(weights, start, count, g, q, (left, right, place), centre)
             else:
-                add_line(
-                    weights, start, count, re, im, l_row + left, m_row + right, LANES, q_re, q_im, k_row + place
-                )  # fmt: skip
+                add_line(weights, start, count, g, q, (l_row + left, m_row + right, k_row + place))
             start += count
 
 
 @kernel
-def sum_groups(  # type: ignore[no-untyped-def]
-    spectra, groups, points, modes, scale, pairs, kind, offsets, weights, re, im, q_re, q_im
-):
+def sum_groups(spectra, groups, points, highest, scale, double_sum, g, q):  # type: ignore[no-untyped-def]
     """The spectra of the first `groups` groups of eight cells, one behind the other, g's in, Q's out."""
     nx, ny, nz = points
-    mx, my, mz = modes
     for group in range(groups):
         start = group * nx * ny * (nz // 2 + 1) * 2 * LANES
-        gather(spectra, start, nx, ny, nz, mx, my, mz, scale, re, im)
-        q_re[:] = 0.0
-        q_im[:] = 0.0
-        add_pairs(pairs, kind, offsets, weights, mz, re, im, q_re, q_im)
-        scatter(q_re, q_im, nx, ny, nz, mx, my, mz, spectra, start)
+        gather(spectra, start, points, highest, scale, g)
+        q.re[:] = 0.0
+        q.im[:] = 0.0
+        add_pairs(double_sum, highest[2], g, q)
+        scatter(q, points, highest, spectra, start)
 
 
 @part
@@ -323,8 +351,8 @@ class BoltzmannOperator:
             "spectra": spectra.reshape(-1).view(np.float64),
             "forward": [pyfftw.FFTW(*pair, direction="FFTW_FORWARD", **options) for pair in zip(lanes, spectra)],
             "backward": [pyfftw.FFTW(*pair, direction="FFTW_BACKWARD", **options) for pair in zip(spectra, lanes)],
-            "modes": [pyfftw.zeros_aligned(length, dtype="float64", n=64) for _ in range(4)],
-            "kind": 2 * mirror + same,
+            "modes": [Modes(*pyfftw.zeros_aligned((2, length), dtype="float64", n=64)) for _ in range(2)],
+            "double_sum": DoubleSum(self.rows.pairs, 2 * mirror + same, self.rows.offsets, self.weights),
             "places": np.zeros(LANES, dtype=np.int64),
             "factors": np.zeros(LANES),
             "scale": kernel_scale(len(self.points), self.half_width, self.exponent, self.cross_section),
@@ -359,7 +387,7 @@ class BoltzmannOperator:
         if not (points == self.points and 1 <= len(cells) <= 2 and out.shape == g.shape and factor.shape == cells):
             wanted = ", ".join(map(str, self.points))
             raise ValueError(f"collide: {g.shape}, {out.shape} and {factor.shape}, wanted (cells, {wanted})")
-        work, rows = self._work, self.rows
+        work = self._work
         forward, backward, places, all_axes = work["forward"], work["backward"], work["places"], work["all_axes"]
         g, out = g[all_axes[len(cells)]], out[all_axes[len(cells)]]
         factor = factor.reshape(g.shape[:2])
@@ -369,8 +397,8 @@ class BoltzmannOperator:
             for transform in forward[:groups]:
                 transform.execute()
             sum_groups(
-                work["spectra"], groups, work["shape"], rows.modes, 1 / prod(self.points), rows.pairs, work["kind"],
-                rows.offsets, self.weights, *work["modes"],
+                work["spectra"], groups, work["shape"], self.rows.modes, 1 / prod(self.points),
+                work["double_sum"], *work["modes"],
             )  # fmt: skip
             for transform in backward[:groups]:
                 transform.execute()

@@ -113,8 +113,9 @@ def factor_tables(grid, work):  # type: ignore[no-untyped-def]
 
 
 @part
-def _add_planes(planes, f, y, z, a0, a1, a2, a3, a4):  # type: ignore[no-untyped-def]
+def _add_planes(planes, f, y, z, sums_of_x):  # type: ignore[no-untyped-def]
     """Add to the sums of `weighted_sums` those of f at (y, z), from its sums times x^0 to x^4."""
+    a0, a1, a2, a3, a4 = sums_of_x
     m0, mx, my, mz, xx, xy, xz, yy, yz, zz, x3, y3, z3, m4 = planes
     fy, fz = f * y, f * z
     square = fma(y, y, z * z)
@@ -169,9 +170,9 @@ def weighted_sums(block, centre, grid, work, sums):  # type: ignore[no-untyped-d
             w = spread(powers, 5 * k + 4)
             a4, b4 = fma(a, w, a4), fma(b, w, b4)
         y, z = load(slab, Y * slab_size + n) - splat(centre[1]), load(slab, Z * slab_size + n) - splat(centre[2])
-        planes = _add_planes(planes, load(factor_slab, n), y, z, a0, a1, a2, a3, a4)
+        planes = _add_planes(planes, load(factor_slab, n), y, z, (a0, a1, a2, a3, a4))
         y, z = load(slab, Y * slab_size + m) - splat(centre[1]), load(slab, Z * slab_size + m) - splat(centre[2])
-        planes = _add_planes(planes, load(factor_slab, m) * (1.0 if m > n else 0.0), y, z, b0, b1, b2, b3, b4)
+        planes = _add_planes(planes, load(factor_slab, m) * (1.0 if m > n else 0.0), y, z, (b0, b1, b2, b3, b4))
     m0, mx, my, mz, xx, xy, xz, yy, yz, zz, x3, y3, z3, m4 = planes
     sums[0], sums[1], sums[2], sums[3] = total(m0), total(mx), total(my), total(mz)
     sums[4], sums[5], sums[6] = total(xx), total(xy), total(xz)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from rvm_mpi import Job, Simulation
-from rvm_mpi.collisions.boltzmann import BoltzmannOperator, scatter
+from rvm_mpi.collisions.boltzmann import BoltzmannOperator, Modes, scatter
 from rvm_mpi.collisions.weights import (
     SUPPORT,
     RadialIntegral,
@@ -219,10 +219,10 @@ def test_mass_is_exact(points):
     axes = tuple(range(1, q.ndim))
     assert (np.abs(q.sum(axis=axes)) < 1e-15 * np.abs(q).sum(axis=axes)).all()
     nx, ny, nz = shape = (1,) * (3 - len(points)) + points
-    mx, my, mz = ((n - 1) // 2 for n in shape)
-    re, im = np.random.default_rng(3).random((2, (2 * mx + 1) * (2 * my + 1) * (2 * mz + 1) * 8))
+    highest = tuple((n - 1) // 2 for n in shape)
+    modes = Modes(*np.random.default_rng(3).random((2, np.prod([2 * m + 1 for m in highest]) * 8)))
     spectrum = np.full(nx * ny * (nz // 2 + 1) * 16, np.nan)
-    scatter(re, im, nx, ny, nz, mx, my, mz, spectrum, 0)
+    scatter(modes, shape, highest, spectrum, 0)
     assert (spectrum[:16] == 0).all() and np.isfinite(spectrum).all()
 
 

@@ -22,16 +22,7 @@ ROOMS = [
 UPWARD: set[tuple[str, str]] = {("collisions.penalised", "time_limits")}
 CIRCLES: set[tuple[str, ...]] = set()
 LONG: set[str] = set()
-MANY_ARGUMENTS: set[str] = {
-    "collisions.boltzmann.add_line",
-    "collisions.boltzmann.add_pairs",
-    "collisions.boltzmann.add_two_lines",
-    "collisions.boltzmann.gather",
-    "collisions.boltzmann.scatter",
-    "collisions.boltzmann.sum_groups",
-    "kinetic.conservation._add_planes",
-    "kinetic.limiter.van_leer3",
-}
+MANY_ARGUMENTS: set[str] = {"kinetic.limiter.van_leer3"}
 
 
 def modules():
