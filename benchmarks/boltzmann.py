@@ -24,7 +24,7 @@ import pyfftw
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from rvm_mpi import Job, Simulation
-from rvm_mpi.collisions.boltzmann import BATCH_NODES, add_pairs
+from rvm_mpi.collisions.boltzmann import BATCH_NODES, Modes, add_pairs
 from rvm_mpi.commands.bench import _multiply_add
 from rvm_mpi.compiling.declare import kernel
 from rvm_mpi.compiling.simd import LANES, load, store
@@ -49,9 +49,9 @@ def copies(count, source, target):
 
 
 @kernel
-def sums(count, pairs, kind, offsets, weights, modes, re, im, q_re, q_im):
+def sums(count, double_sum, highest, g, q):
     for _ in range(count):
-        add_pairs(pairs, kind, offsets, weights, modes, re, im, q_re, q_im)
+        add_pairs(double_sum, highest, g, q)
 
 
 def alternated(functions):
@@ -122,8 +122,7 @@ def measure(points):
     g = np.random.default_rng(1).random((many, *points))
     out = np.empty_like(g)
     count = max(1, 200_000 // op.rows.products)
-    pairs = op.rows.pairs, op._work["kind"], op.rows.offsets, op.weights, op.rows.modes[2]
-    modes = [pyfftw.ones_aligned(op._work["modes"][0].size, n=64) for _ in range(4)]
+    modes = [Modes(*pyfftw.ones_aligned((2, op._work["modes"][0].re.size), n=64)) for _ in range(2)]
     source, target = (pyfftw.ones_aligned(BATCH_NODES * LANES, n=64) for _ in range(2))
     sink = np.zeros(1)
     parts = {
@@ -131,7 +130,7 @@ def measure(points):
         "many": (lambda: op.collide(g, out), many),
         "one": (lambda: op.collide(g[:1], out[:1]), 1),
         "stage": (lambda: kinetic._operator.collide(kinetic, kinetic.g, kinetic.now), CELLS),
-        "sum": (lambda: sums(count, *pairs, *modes), count * LANES),
+        "sum": (lambda: sums(count, op._work["double_sum"], op.rows.modes[2], *modes), count * LANES),
         "copy": (lambda: copies(COPIES, source, target), COPIES * 2 * source.nbytes),
         "fma": (lambda: _multiply_add(MULTIPLY_ADDS, 0.5, sink), MULTIPLY_ADDS * 128 / 2),
         **fast_transforms(points),

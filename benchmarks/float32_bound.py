@@ -10,11 +10,13 @@ go to the cache.
 
 import argparse
 import math
+import tempfile
 import time
 
+import numba
 import numpy as np
 from llvmlite import ir
-from numba.core import types
+from numba import types
 from numba.extending import intrinsic
 
 from rvm_mpi.compiling import simd
@@ -54,12 +56,6 @@ def store(typingctx, array, index, value):
     return types.void(array, types.intp, simd.vector8), codegen
 
 
-simd.load, simd.store = load, store
-simd.KERNEL["cache"] = False
-
-from rvm_mpi import Job, Simulation  # noqa: E402  the kernels take what simd has when they are imported
-from rvm_mpi.grid.domain import Domain, aligned  # noqa: E402
-
 JOB = {
     "collision": {"operator": "granular-es-bgk", "knudsen": 0.01, "restitution": 0.99},
     "fluid": {"enabled": True},
@@ -68,19 +64,27 @@ JOB = {
 }
 
 
+def in_single(double, guard):
+    """An array's numbers in single precision, with `guard` numbers of room before and after."""
+    from rvm_mpi.grid.domain import aligned
+
+    room = aligned((double.size + guard,)).view(np.float32)[guard // 2 :]
+    array = room[: double.size].reshape(double.shape)
+    array[...] = double
+    return array
+
+
 def stepper(cells, velocity, single):
     """The kinetic part of a simulation after a step, g in the precision wanted, and a step's length."""
+    from rvm_mpi import Job, Simulation
+
     sim = Simulation(Job.from_dict({"space": {"cells": cells}, "velocity": {"points": velocity}, **JOB}))
     kinetic = sim.kinetic
     sim.advance()
     if single:
-        for name in ("g", "_other"):
-            double = getattr(kinetic, name)
-            guard = 8 * kinetic.grid.block
-            room = aligned((double.size + guard,)).view(np.float32)[guard // 2 :]
-            array = room[: double.size].reshape(double.shape)
-            array[...] = double
-            setattr(kinetic, name, array)
+        kinetic.g, kinetic._others[0] = (
+            in_single(array, 8 * kinetic.grid.block) for array in (kinetic.g, kinetic._others[0])
+        )
     return kinetic, 0.5 * sim.last_dt
 
 
@@ -90,6 +94,15 @@ def main():
     parser.add_argument("--velocity", type=int, nargs=3, default=[24, 24, 8])
     parser.add_argument("--rounds", type=int, default=12)
     arguments = parser.parse_args()
+    simd.load, simd.store = load, store  # before the kernels are imported, which take what simd has then
+    with tempfile.TemporaryDirectory() as cache:
+        numba.config.CACHE_DIR = cache
+        measure(arguments)
+
+
+def measure(arguments):
+    from rvm_mpi.grid.domain import Domain
+
     runs = {name: stepper(arguments.cells, arguments.velocity, name == "float32") for name in ("float64", "float32")}
     Domain.exchange = lambda *_: None
     least = dict.fromkeys(runs, math.inf)
@@ -105,4 +118,5 @@ def main():
     print(f"a phase-space cell and stage: {figures}; gain {least['float64'] / least['float32']:.2f}")
 
 
-main()
+if __name__ == "__main__":
+    main()

@@ -119,4 +119,5 @@ def main() -> None:
             print(f"| {name} | {ranks} | {figures} | {off:+.1%} |", flush=True)
 
 
-main()
+if __name__ == "__main__":
+    main()

@@ -80,4 +80,5 @@ def main():
         ip("link", "delete", NAME, check=False)
 
 
-sys.exit(main())
+if __name__ == "__main__":
+    sys.exit(main())

@@ -5,7 +5,12 @@
    xi_z), xi_x slowest; nodes with xi_y < 0 and all of a slab are whole vectors. stage_bound.py compiles, times it. */
 #include <math.h>
 #include <string.h>
-typedef double v8 __attribute__((vector_size(64), aligned(8)));
+#ifdef __AVX512F__
+enum { LANES = 8 };
+#else
+enum { LANES = 4 };
+#endif
+typedef double vec __attribute__((vector_size(LANES * 8), aligned(8)));
 enum { Y, Z, Y_FACE, Z_FACE, VALID, Y_LEAST, Y_OPEN, Z_LEAST, Z_OPEN, MAX = 4096, GUARD = 64 };
 __attribute__((simd("notinbranch"))) double exp(double);
 typedef struct {
@@ -14,26 +19,26 @@ typedef struct {
     double dt, weight_old, weight_new, own, share;
 } Case;
 #define ROW(name) (c->slab + (name) * c->S)
-typedef long long m8 __attribute__((vector_size(64)));
-static const v8 one = {1, 1, 1, 1, 1, 1, 1, 1};
-static inline v8 at(const double *p) { return *(const v8 *)p; }
-static inline void put(double *p, v8 a) { *(v8 *)p = a; }
-static inline v8 pick(m8 c, v8 a, v8 b) { return (v8)((c & (m8)a) | (~c & (m8)b)); }
-static double sum(v8 a) { double s = 0; for (int l = 0; l < 8; l++) s += a[l]; return s; }
+typedef long long mask __attribute__((vector_size(LANES * 8)));
+#define one ((vec){0} + 1)
+static inline vec at(const double *p) { return *(const vec *)p; }
+static inline void put(double *p, vec a) { *(vec *)p = a; }
+static inline vec pick(mask c, vec a, vec b) { return (vec)((c & (mask)a) | (~c & (mask)b)); }
+static double sum(vec a) { double s = 0; for (int l = 0; l < LANES; l++) s += a[l]; return s; }
 
 /* one slab's fluxes through the upper faces, its nodes from n to end; m: sums 1, y, z, y^2 + z^2 of f and of h */
 static inline void faces(const Case *c, long n, long end, double rate, double omega_y, const double *xb,
                          const double *xh, const double *xa, const double *yb, const double *yh, const double *ya,
                          double *west, double *south, double *change, double *m) {
-    v8 s[8] = {0};
-    for (long i = n; i < end; i += 8) {
+    vec s[8] = {0};
+    for (long i = n; i < end; i += LANES) {
         __builtin_prefetch(xa + i + 128), __builtin_prefetch(xb + i + 128);
         __builtin_prefetch(ya + i + 128), __builtin_prefetch(yb + i + 128);
-        v8 y = at(ROW(Y) + i), z = at(ROW(Z) + i), u = at(xh + i), v = at(yh + i), square = y * y + z * z;
-        v8 a = u - at(xb + i), b = at(xa + i) - u, d = v - at(yb + i), e = at(ya + i) - v, p = a * b, q = d * e;
-        v8 t = pick(p > 1e-180, a + b, one), w = pick(q > 1e-180, d + e, one), inverse = 1 / (t * w); /* one division */
-        v8 f = (u + pick(p > 1e-180, p, 0 * one) * w * inverse) * rate;
-        v8 h = (v + pick(q > 1e-180, q, 0 * one) * t * inverse) * (y * (omega_y * c->per[1]));
+        vec y = at(ROW(Y) + i), z = at(ROW(Z) + i), u = at(xh + i), v = at(yh + i), square = y * y + z * z;
+        vec a = u - at(xb + i), b = at(xa + i) - u, d = v - at(yb + i), e = at(ya + i) - v, p = a * b, q = d * e;
+        vec t = pick(p > 1e-180, a + b, one), w = pick(q > 1e-180, d + e, one), inverse = 1 / (t * w); /* one division */
+        vec f = (u + pick(p > 1e-180, p, 0 * one) * w * inverse) * rate;
+        vec h = (v + pick(q > 1e-180, q, 0 * one) * t * inverse) * (y * (omega_y * c->per[1]));
         put(change + i, (at(west + i) - f) + (at(south + i) - h)), put(west + i, f), put(south + i, h);
         s[0] += f, s[1] += f * y, s[2] += f * z, s[3] += f * square;
         s[4] += h, s[5] += h * y, s[6] += h * z, s[7] += h * square;
@@ -104,18 +109,18 @@ static void drift(const Case *c, const double *g, const double *old, double *res
 }
 
 /* node n of the plane: what a sum over x has left of a column, times 1, x, y, z, xx, xy, xz, yy, yz, zz, added to t */
-static inline void add(const Case *c, long n, v8 a0, v8 a1, v8 a2, v8 *t) {
-    v8 y = at(ROW(Y) + n) - c->centre[1], z = at(ROW(Z) + n) - c->centre[2];
+static inline void add(const Case *c, long n, vec a0, vec a1, vec a2, vec *t) {
+    vec y = at(ROW(Y) + n) - c->centre[1], z = at(ROW(Z) + n) - c->centre[2];
     t[0] += a0, t[1] += a1, t[2] += a0 * y, t[3] += a0 * z, t[4] += a2, t[5] += a1 * y, t[6] += a1 * z;
     t[7] += a0 * y * y, t[8] += a0 * y * z, t[9] += a0 * z * z;
 }
 
 static void moments(const Case *c, const double *block, double *sums) {
-    v8 t[10] = {0};
-    for (long n = 0; n < c->S; n += 8) {
-        v8 a0 = {0}, a1 = {0}, a2 = {0};
+    vec t[10] = {0};
+    for (long n = 0; n < c->S; n += LANES) {
+        vec a0 = {0}, a1 = {0}, a2 = {0};
         for (long k = 0; k < c->px; k++) {
-            v8 f = at(block + k * c->S + n), s = f * (c->x[k] - c->centre[0]);
+            vec f = at(block + k * c->S + n), s = f * (c->x[k] - c->centre[0]);
             a0 += f, a1 += s, a2 += s * (c->x[k] - c->centre[0]);
         }
         add(c, n, a0, a1, a2, t);
@@ -128,20 +133,20 @@ static void gaussian_moments(const Case *c, double *block, double *sums) {
     const double *th = c->theta, h = c->x[1] - c->x[0], curve = exp(2 * th[4] * h * h);
     long middle = lround((c->centre[0] - c->x[0]) / h);
     double x0 = c->x[middle] - c->centre[0];
-    v8 t[10] = {0};
-    for (long n = 0; n < c->S; n += 8) {
-        v8 y = at(ROW(Y) + n) - c->centre[1], z = at(ROW(Z) + n) - c->centre[2], tilt = th[1] + y * th[5] + z * th[6];
-        v8 base = th[0] + y * (th[2] + y * th[7]) + z * (th[3] + z * th[9] + y * th[8]);
+    vec t[10] = {0};
+    for (long n = 0; n < c->S; n += LANES) {
+        vec y = at(ROW(Y) + n) - c->centre[1], z = at(ROW(Z) + n) - c->centre[2], tilt = th[1] + y * th[5] + z * th[6];
+        vec base = th[0] + y * (th[2] + y * th[7]) + z * (th[3] + z * th[9] + y * th[8]);
         put(e[0] + n, base + (tilt + th[4] * x0) * x0);
         put(e[1] + n, -tilt * h - th[4] * h * (2 * x0 - h)), put(e[2] + n, tilt * h + th[4] * h * (2 * x0 + h));
     }
     for (int q = 0; q < 3; q++)
 #pragma omp simd
         for (long n = 0; n < c->S; n++) e[q][n] = exp(e[q][n]);
-    for (long n = 0; n < c->S; n += 8) {
-        v8 a0 = {0}, a1 = {0}, a2 = {0};
+    for (long n = 0; n < c->S; n += LANES) {
+        vec a0 = {0}, a1 = {0}, a2 = {0};
         for (int up = 0; up < 2; up++) {
-            v8 f = at(e[0] + n) * at(ROW(VALID) + n), r = at(e[1 + up] + n);
+            vec f = at(e[0] + n) * at(ROW(VALID) + n), r = at(e[1 + up] + n);
             if (up) f *= r, r *= curve;
             for (long k = middle + up; k >= 0 && k < c->px; k += 2 * up - 1, f *= r, r *= curve) {
                 double s = c->x[k] - c->centre[0];

@@ -17,52 +17,60 @@ from typing import Any
 import numpy as np
 
 from rvm_mpi.compiling.declare import kernel
-from rvm_mpi.compiling.simd import splat, store
 from rvm_mpi.grid.domain import aligned
 from rvm_mpi.grid.velocity import VelocityGrid
-from rvm_mpi.kinetic import drift
-from rvm_mpi.kinetic.conservation import weighted_sums
+from rvm_mpi.kinetic.conservation import no_factor, weighted_sums
+from rvm_mpi.kinetic.drift import Drift, Mix, update
 from rvm_mpi.kinetic.gaussian import gaussian_moments
-from rvm_mpi.kinetic.transport import upper_fluxes
-from rvm_mpi.step.sweep import Work, kernel_grid, mix
+from rvm_mpi.kinetic.transport import UpperFaces, upper_fluxes
+from rvm_mpi.step.data import Space, here, kernel_grid, lay_out, work_space
+from rvm_mpi.step.sweep import mix
 
 SOURCE = Path(__file__).with_name("stage_bound.c")
 COMPILE = ["cc", "-O3", "-march=native", "-mprefer-vector-width=512", "-fopenmp-simd", "-fno-math-errno"]
-COMPILE += ["-fno-trapping-math", "-shared", "-fPIC"]
+COMPILE += ["-fno-trapping-math", "-shared", "-fPIC", "-Wno-psabi"]
 ROUNDS = 7
 #: numbers a cell: moments of both fluxes, sums of the block, sums of the Gaussian
 REPORT = 30
 OMEGA = (1.0, 1.1, 0.9, 1.05)
-PER = np.array([64.0, 48.0])
+PER = (64.0, 48.0)
 DT, WEIGHTS, SHARES = 1e-4, (0.5, 0.6), (0.7, 0.2)
+#: what `Drift` takes
+RATES = (0.3, 0.2, 0.1, -0.2, 0.25, (0.01, 0.02, -0.03))
+THETA = (0.1, 0.0, 0.02, 0.01, -0.5, 0.03, -0.02, -0.45, 0.01, -0.55)
+CENTRE = (0.1, -0.05, 0.02)
 
 
 @kernel
-def _cells(grid, nx, ny, per, row, g, out, first, rates, theta, centre, work, sums, report):  # type: ignore[no-untyped-def]
-    points_x, slab_size, x, slab, block = grid.points[0], grid.slab_size, grid.x, grid.slab, grid.block
-    factor_x, factor_slab, powers = work.correction[0], work.correction[1], work.correction[2]
-    for n in range(0, slab_size, 8):
-        store(factor_slab, n, splat(1.0))
-    for j in range(-1, ny):
-        for i in range(0 if j < 0 else -1, nx):
-            cell = first + j * row + i * block
-            r = report[j * nx + i if i >= 0 and j >= 0 else nx * ny]
-            upper_fluxes(
-                g, cell, 0 if j < 0 else block, 0 if i < 0 else row, points_x, slab_size, grid.below, x, slab, OMEGA,
-                0.0 if j < 0 else per[0], 0.0 if i < 0 else per[1], work.gaussian if j < 0 else work.west,
-                work.gaussian if i < 0 else work.south, max(i, 0) * block, work.faces, work.result, r[:5], r[5:10],
+def _cells(grid, space, g, out, report, buffer):  # type: ignore[no-untyped-def]
+    work, _ = lay_out(grid, space.nx, buffer)
+    strips, correction, gaussian = work.strips, work.correction, work.gaussian
+    no_factor(correction)
+    for q in range(3):
+        correction.centre[q] = CENTRE[q]
+    turn, blend = Drift(*RATES), Mix(out, WEIGHTS[0], WEIGHTS[1], DT)
+    row = (space.nx + 2 * space.wx) * grid.block
+    for j in range(-1, space.ny):
+        for i in range(0 if j < 0 else -1, space.nx):
+            cell = here(grid, space, j, i).block
+            r = report[j * space.nx + i if i >= 0 and j >= 0 else space.nx * space.ny]
+            upper = UpperFaces(
+                0 if j < 0 else grid.block, 0 if i < 0 else row,
+                0.0 if j < 0 else space.per_dx, 0.0 if i < 0 else space.per_dy, OMEGA,
             )  # fmt: skip
+            west, south = strips.spare if j < 0 else strips.west, strips.spare if i < 0 else strips.south
+            lower = (west, south, max(i, 0) * grid.block, strips.faces)
+            upper_fluxes(g, cell, grid, upper, lower, work.result, r[:5], r[5:10])
             if i < 0 or j < 0:
                 continue
-            drift.update(g, cell, grid, rates, out, WEIGHTS[0], WEIGHTS[1], DT, work.scratch, work.result)
-            weighted_sums(work.result, centre, points_x, slab_size, x, slab, factor_x, factor_slab, powers, sums)
+            update(g, cell, grid, turn, blend, work.scratch, work.result)
+            weighted_sums(work.result, correction.centre, grid, correction, work.sums.result)
             for q in range(10):
-                r[10 + q] = sums[q]
-            gaussian_moments(theta, centre, points_x, slab_size, x, slab, work.gaussian, r[20:])
-            mix(
-                work.result, factor_x, factor_slab, SHARES[0], work.gaussian, SHARES[1], points_x, slab_size, x, slab,
-                out, cell, False, work.extremes,
-            )  # fmt: skip
+                r[10 + q] = work.sums.result[q]
+            for q in range(10):
+                work.fit.theta[q] = THETA[q]
+            gaussian_moments(work.fit.theta, correction.centre, grid, gaussian.block, r[20:])
+            mix(grid, work, SHARES[0], SHARES[1], out, cell, False)
 
 
 class _Case(ctypes.Structure):
@@ -85,39 +93,40 @@ def measure(cells: tuple[int, int], velocity: tuple[int, int, int]) -> dict[str,
     velocity_grid = VelocityGrid.create(velocity, (7.0,) * 3)
     grid = kernel_grid(velocity_grid)
     nx, ny = cells
-    row, first = (nx + 4) * grid.block, 2 * ((nx + 4) + 1) * grid.block
+    space = Space(2, nx, ny, 2, 2, *PER)
+    row, first = (nx + 4) * grid.block, here.py_func(grid, space, 0, 0).block
     size = (ny + 4) * row
     random = np.random.default_rng(1)
-    g, start = (aligned((size,), drift.reach(grid.points[2], grid.slab_size)) for _ in range(2))
+    g, start = (aligned((size,), grid.guard) for _ in range(2))
     for array in (g, start):
         velocity_grid.unpack(array.reshape(-1, grid.block))[...] = random.uniform(
             0.5, 1.5, (size // grid.block, *velocity)
         )
-    rates = np.array([0.3, 0.2, 0.1, -0.2, 0.25, 0.01, 0.02, -0.03, *grid.per_spacing])
-    theta = np.array([0.1, 0.0, 0.02, 0.01, -0.5, 0.03, -0.02, -0.45, 0.01, -0.55])
-    centre, omega = np.array([0.1, -0.05, 0.02]), np.array(OMEGA)
-    work, sums = Work.create(grid, nx), np.zeros(14)
+    rates = np.array([*RATES[:5], *RATES[5], *grid.per_spacing])
+    buffer = work_space(grid, nx)
+    work = lay_out.py_func(grid, nx, buffer)[0]
+    strips = work.strips
     with tempfile.TemporaryDirectory() as directory:
         function = compiled(directory)
-    slab = np.ascontiguousarray(grid.slab)
-    held = [np.ascontiguousarray(a) for a in (grid.x, grid.x_face, slab, omega, PER, rates, theta, centre)]
+    numbers = (np.array(a) for a in (OMEGA, PER, rates, THETA, CENTRE))
+    held = [np.ascontiguousarray(a) for a in (grid.x, grid.x_face, grid.slab, *numbers)]
     pointers = [a.ctypes.data for a in held]
     case = _Case(
         velocity[0], grid.slab_size, velocity[2], grid.below, row, nx, ny, *pointers, DT, *WEIGHTS, *SHARES
     )
 
     def by_kernels(out: np.ndarray, report: np.ndarray) -> None:
-        _cells(grid, nx, ny, PER, row, g, out, first, rates, theta, centre, work, sums, report)
+        _cells(grid, space, g, out, report, buffer)
 
     def by_c(out: np.ndarray, report: np.ndarray) -> None:
-        blocks = (work.west, work.south, work.result, work.gaussian)
+        blocks = (strips.west, strips.south, work.result, work.gaussian.block)
         places = [ctypes.c_void_p(a.ctypes.data) for a in (g[first:], out[first:], *blocks, report)]
         function(ctypes.byref(case), *places)
 
     results, times = [], []
     for run in (by_kernels, by_c):
         out, report = start.copy(), np.zeros((nx * ny + 1, REPORT))
-        work.west[:], work.south[:] = 0.0, 0.0
+        strips.west[:], strips.south[:] = 0.0, 0.0
         run(out, report)
         results.append((out, report))
     for mine, other in zip(*results):

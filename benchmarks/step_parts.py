@@ -27,12 +27,12 @@ from rvm_mpi.run.control import Control
 from rvm_mpi.run.run import Run, run_job
 from rvm_mpi.run.watch import Watch
 from rvm_mpi.simulation import Simulation
-from rvm_mpi.step.stepper import KineticStepper
+from rvm_mpi.step import ghosts, stepper
 
 PARTS = {
-    "sweep": [],
+    "sweep": [(stepper, "sweep")],
     "halo": [(Domain, "exchange")],
-    "walls": [],
+    "walls": [(ghosts, "fill_side")],
     "fluid": [(FluidSystem, "advance"), (FluidSystem, "max_rate"), (FluidSystem, "omega")],
     "reductions": [(Domain, "maximum")],
     "diagnostics": [(Diagnostics, "update")],
@@ -80,17 +80,6 @@ class Clock:
 
         setattr(owner, name, timed)
 
-    def watch_kernels(self) -> None:
-        """Wrap the kernels that a stepper holds, once it is made."""
-        make = KineticStepper.__init__
-
-        def made(stepper, *arguments):
-            make(stepper, *arguments)
-            self.watch(stepper, "_run_sweep", "sweep")
-            self.watch(stepper, "_fill_side", "walls")
-
-        KineticStepper.__init__ = made
-
     def watch_steps(self) -> None:
         """Begin a new step with each call of `Simulation.advance`."""
         advance = Simulation.advance
@@ -116,7 +105,6 @@ def main() -> None:
     for part, functions in PARTS.items():
         for owner, name in functions:
             clock.watch(owner, name, part)
-    clock.watch_kernels()
     clock.watch_steps()
     job = Job.from_file(options.job) if options.job else _job(tuple(options.cells), tuple(options.velocity))
     end = options.steps * first_step.first_step(job).dt
