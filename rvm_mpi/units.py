@@ -46,7 +46,7 @@ def power(x, exponent):  # type: ignore[no-untyped-def]
     """x^exponent of a positive number or array; with a multiple of 1/2 by products and a root.
 
     These scale exactly with x by powers of two (of four, where there is a root); a library's power does not promise to.
-    Plain Python and a kernel's part alike (`stage.py`).
+    Plain Python and a kernel's part alike (`step/relaxation.py`).
     """
     halves = math.floor(abs(2.0 * exponent))
     if halves != abs(2.0 * exponent) or halves > 16:

@@ -34,7 +34,7 @@ STEP_PER_STAGES = 1.13
 SECONDS_PER_STEP = 2e-3
 """Nominal time of what a step costs whatever the grid: calls, reductions, a row of the history."""
 OPERATIONS_PER_PAIR = 10
-"""Floating-point operations of the Boltzmann operator's sum for a pair of modes (`boltzmann_weights.Rows.products`)."""
+"""Floating-point operations of the Boltzmann operator's sum for a pair of modes (`weights.Rows.products`)."""
 OPERATIONS_PER_SECOND = 5.5e10
 """Nominal speed of that sum on one core: two thirds of the peak of one with AVX-512 (benchmarks/boltzmann.py)."""
 SECONDS_PER_NODE = 6e-9

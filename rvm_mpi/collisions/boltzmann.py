@@ -7,7 +7,7 @@ Kernel |u|^lambda b with a constant cross section b in the sigma representation,
 In d = 1 the sphere is the two points +-1. Constant b in the impact direction with kernel |u| is the same operator in
 d = 2 and twice this one in d = 1; hard spheres in d = 3 are constant b here (1/4 for unit diameter).
 
-The weights are those of `boltzmann_weights`. Only modes with l, m and l + m all kept enter, so nothing is aliased, and
+The weights are those of `weights.py`. Only modes with l, m and l + m all kept enter, so nothing is aliased, and
 the operator commutes with translations: that the nodes are cell centres, xi_j = -V + (j + 1/2) h, multiplies mode k by
 a phase exp(i k . s), which l + m = k carries from the arguments to the result, so plain transforms do. Q_0 is zero,
 not merely small: mass is exact; momentum and energy are to spectral accuracy.

@@ -178,7 +178,7 @@ class OperatorFacts(NamedTuple):
     relaxes : bool
         Whether g relaxes to a Gaussian at a rate of its own, implicitly.
     explicit : bool
-        Whether it gives a rate of g that is taken explicitly (`collisions.EXPLICIT`).
+        Whether it gives a rate of g that is taken explicitly.
     dissipates : bool
         Whether it can take energy.
     """
@@ -326,7 +326,7 @@ def duration(value: Any) -> float:
 
 
 MOST_SNAPSHOTS = 20_000
-"""Snapshots of a run: all their times stand in `job.toml`, which is to stay below `job_text.LARGEST_FILE`."""
+"""Snapshots of a run: all their times stand in `job.toml`, which is to stay below `text.LARGEST_FILE`."""
 
 
 class SpacedTimes(Section):

@@ -1,7 +1,7 @@
 """Whether a state can start on the velocity grid: one rule, for `rvm check` ahead of a run and for the run's own start.
 
 A state of f is written in g's velocities, xi = v/omega. The grid holds its Gaussian where no positive function on the
-nodes would need more variance than it has, along each direction by itself (`collisions/es_bgk.realisable_tensor`).
+nodes would need more variance than it has, along each direction by itself (`kinetic/realisable.realisable_tensor`).
 """
 
 from __future__ import annotations
