@@ -1,7 +1,7 @@
 # make alone lists the targets.
 .DEFAULT_GOAL := help
 SHELL := /bin/bash
-.PHONY: help install test-tools demo test long-tests fault-tests lint clean
+.PHONY: help install test-tools demo test long-tests fault-tests numba-versions lint clean
 
 PYTHON := .venv/bin/python
 RANKS := 2
@@ -11,7 +11,7 @@ DEMO_SHOWS := the random density is nearly even by t = 5 and gathers in clusters
 	whose flow keeps the energy 6 % above Haff's law while the gas cools by 5.5 decades (history_cooling.png).
 
 help:  ## this list
-	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-12s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-14s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
 
 install:  ## install what is missing (system packages, then .venv); says what before it does
 	@scripts/install.sh
@@ -33,6 +33,9 @@ long-tests: test-tools  ## the tests that take minutes or more
 
 fault-tests: test-tools  ## kills, full disks, signals, damaged files: the long fault suite with its figures
 	$(PYTHON) -m pytest tests/faults
+
+numba-versions: test-tools  ## the kernels on the oldest and newest numba allowed: their tests, and the same bits
+	@scripts/numba_versions.sh
 
 lint: test-tools  ## ruff and mypy
 	$(PYTHON) -m ruff check .

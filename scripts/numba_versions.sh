@@ -43,10 +43,12 @@ else
     pythons=("$here" "${pythons[@]}")
 fi
 
-for n in 0 1; do
-    [ "$what" = bits ] || run_tests "${pythons[$n]}"
-    compute "${pythons[$n]}" "$place/bits-$n"
-done
+if [ "$what" != bits ]; then
+    for python in "${pythons[@]}"; do run_tests "$python"; done
+fi
+compute "${pythons[0]}" "$place/bits-0" &
+compute "${pythons[1]}" "$place/bits-1"
+wait $!
 if ! diff "$place/bits-0" "$place/bits-1"; then
     echo "numba_versions: the kernels' results differ between these versions" >&2
     exit 1
