@@ -9,7 +9,7 @@ import time
 from pathlib import Path
 
 from rvm_mpi import Job, Simulation
-from rvm_mpi.kinetic.drift import ORDERS
+from rvm_mpi.kinetic.drift import RECONSTRUCTIONS
 
 JOB = Path(__file__).resolve().parent.parent / "jobs" / "test4_clustering_kinetic.toml"
 GRIDS = {(24, 24, 8): 32, (16, 16, 16): 32, (24, 24, 24): 20, (32, 32, 32): 16}
@@ -17,7 +17,7 @@ ROUNDS = 6
 
 
 def main() -> None:
-    names = ("van-leer", *ORDERS)
+    names = sorted(RECONSTRUCTIONS, key=lambda name: name != "van-leer")
     print("| velocities | " + " | ".join(names[1:]) + " |\n" + "| --- " * len(names) + "|")
     for points, cells in GRIDS.items():
         steppers = {}

@@ -46,7 +46,7 @@ JOBS |= {
         "scaling": {"kind": "kinetic"},
         "scheme": {"drift": name},
     }
-    for name in ("van-leer", *drift.ORDERS)
+    for name in drift.RECONSTRUCTIONS
 }
 FAST = 3.0  # of the step's length over its limit, for the drift in substeps
 
