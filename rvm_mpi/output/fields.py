@@ -171,7 +171,8 @@ class FieldsFile:
         for name, (part, values) in extra.items():
             if name in self._cell_fields or name not in self.layout:
                 raise ValueError(f"{name} is not one of the extra datasets")
-            self._slabs[name].write((index, *(axis.start or 0 for axis in part)), np.asarray(values)[np.newaxis])
+            start = (index, *(axis.start or 0 for axis in part), *(0 for _ in np.shape(values)[len(part) :]))
+            self._slabs[name].write(start, np.asarray(values)[np.newaxis])
 
     def _write_time(self, index: int, time: float, what: str, to_disk: bool):
         with self._agreed(what):

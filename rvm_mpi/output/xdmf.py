@@ -169,7 +169,7 @@ def _xdmf_slab(
     name: str,
     size: str,
     whole: tuple[int, ...],
-    start: tuple[int | str, ...],
+    start: tuple[object, ...],
     count: tuple[int, ...],
 ):
     """Add the part of a dataset that begins at `start` and has the shape `count`, seen as of shape `size`."""
