@@ -103,6 +103,8 @@ class FieldsFile:
         self.rows, self.stored = comm.bcast((rows, stored))
         with self._agreed("be opened by all ranks"):
             self._file = open_together(self.path, comm)
+            #: HDF5 gives what it writes in parallel to the system at once
+            self._buffers = self._file.driver != "mpio"
             self._slabs = {name: Slabs(self._file[name]) for name in ("time", *self.layout)}
         self._to_disk_from = monotonic()
 
@@ -183,7 +185,7 @@ class FieldsFile:
 
     def _flush(self, what: str, to_disk: bool):
         """Let what was written leave this process, where HDF5 keeps it in a buffer, or reach the disk. Collective."""
-        if to_disk or self._file.driver != "mpio":
+        if to_disk or self._buffers:
             with self._agreed(what):
                 self._file.flush()
 
