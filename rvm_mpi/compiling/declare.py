@@ -25,6 +25,7 @@ from typing import Any
 import llvmlite
 import llvmlite.binding as llvm
 import numba
+import numba.extending
 import numpy as np
 
 from rvm_mpi.cache import cache_directory
@@ -55,11 +56,51 @@ class Kernel:
 
     def __call__(self, *arguments: Any) -> Any:
         """Run it."""
+        arguments = tuple(_typed(one) if isinstance(one, tuple) else one for one in arguments)
         try:
             return self._compiled(*arguments)
         except _CACHE_FAILS:
             self._compiled = numba.njit(**OPTIONS)(self.function)
             return self._compiled(*arguments)
+
+
+class _Typed(tuple):
+    """The entries of a NamedTuple together with the type that it has in kernels.
+
+    numba finds out the types of all arguments at each call. Debian 12's, 0.56, reads memory that was never set where
+    the description of one is longer than 40 bytes (`string_writer_ensure` in its `_typeof.c`), as that of a NamedTuple
+    is, and may not know it again: the call then takes a millisecond more, and memory that is never given back. For
+    what has a `_numba_type_` it takes that.
+    """
+
+    _numba_type_: Any
+
+
+@numba.extending.typeof_impl.register(_Typed)
+def _type_of(value: _Typed, _context: Any) -> Any:
+    return value._numba_type_
+
+
+_TYPES: dict[Any, Any] = {}
+
+
+def _typed(value: Any) -> _Typed:
+    kind = _kind(value)
+    found = _TYPES.get(kind)
+    if found is None:
+        found = _TYPES[kind] = numba.typeof(value)
+    typed = _Typed(value)
+    typed._numba_type_ = found
+    return typed
+
+
+def _kind(value: Any) -> Any:
+    """What the type of a value depends on."""
+    if isinstance(value, np.ndarray):
+        return value.dtype, value.ndim, value.flags.num
+    if isinstance(value, tuple):
+        return (type(value), *map(_kind, value))
+    return type(value)
 
 
 def kernel(function: Callable[..., Any]) -> Kernel:

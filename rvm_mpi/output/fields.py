@@ -4,6 +4,11 @@ The file is laid out once, for all snapshots, in contiguous datasets of fixed si
 that only values are written. So its structure is never half-written, a reader may look at it while the run
 goes on, and a full disk is noticed at the start. A snapshot exists when its entry in `/time` is a number: it
 is written last.
+
+That order holds for whoever reads the file, and for a run that is killed. For a machine that loses its power the values
+must be on disk before the time is sent there, which costs as much as many steps of a small job: it is done once a
+second and before each checkpoint. Snapshots that come faster than that may then be incomplete; the run that goes on
+from its checkpoint takes them again.
 """
 
 from __future__ import annotations
@@ -11,6 +16,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
+from time import monotonic
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,7 +24,7 @@ import numpy as np
 from rvm_mpi.agree import agreed_on_disk
 from rvm_mpi.job.text import JobError
 from rvm_mpi.output.disk import flush_to_disk
-from rvm_mpi.output.hdf5 import check_room, contiguous, datasets, open_alone, open_together, parallel_h5py
+from rvm_mpi.output.hdf5 import Slabs, check_room, contiguous, datasets, open_alone, open_together, parallel_h5py
 from rvm_mpi.output.layout import AXES, Layout, coordinates_of, field_layout
 
 if TYPE_CHECKING:
@@ -26,6 +32,9 @@ if TYPE_CHECKING:
 
     from rvm_mpi.grid.domain import Domain
     from rvm_mpi.job.job import Job
+
+#: seconds from one snapshot that is put on disk at once to the next
+TO_DISK_EVERY = 1.0
 
 
 class FieldsFile:
@@ -94,6 +103,10 @@ class FieldsFile:
         self.rows, self.stored = comm.bcast((rows, stored))
         with self._agreed("be opened by all ranks"):
             self._file = open_together(self.path, comm)
+            #: HDF5 gives what it writes in parallel to the system at once
+            self._buffers = self._file.driver != "mpio"
+            self._slabs = {name: Slabs(self._file[name]) for name in ("time", *self.layout)}
+        self._to_disk_from = monotonic()
 
     def _agreed(self, what: str) -> AbstractContextManager[None]:
         return agreed_on_disk(self.comm, f"{self.path} cannot {what}")
@@ -121,13 +134,17 @@ class FieldsFile:
         DiskFailure : if any rank cannot write its part; the snapshot then does not exist.
         """
         what = f"take snapshot {index} at t = {time:g}"
-        if 0 <= index < len(self.stored) and np.isfinite(self.stored[index]):
-            self._write_time(index, float("nan"), what)
+        again = 0 <= index < len(self.stored) and bool(np.isfinite(self.stored[index]))
+        to_disk = again or self.comm.bcast(monotonic() >= self._to_disk_from)
+        if again:
+            self._write_time(index, float("nan"), what, to_disk)
         with self._agreed(what):
             self._write_blocks(index, fields, extra or {})
-        self._flush(what)
-        self._write_time(index, time, what)
+        self._flush(what, to_disk)
+        self._write_time(index, time, what, to_disk)
         self.rows[index] = time
+        if to_disk:
+            self._to_disk_from = monotonic() + TO_DISK_EVERY
 
     def close(self):
         """Close the file on all ranks; a second call does nothing."""
@@ -147,29 +164,30 @@ class FieldsFile:
             wrong = ", ".join(sorted(set(fields) ^ self._cell_fields))
             raise ValueError(f"these fields are missing or unknown: {wrong}")
         for name, values in fields.items():
-            dataset = self._file[name]
             per_cell = self.layout[name].shape[len(self._block) :]
             expected = (*self._local, *per_cell)
             if np.shape(values) != expected:
                 raise ValueError(f"{name} has shape {np.shape(values)}, this rank's block is {expected}")
-            where = (index, *self._block, *(slice(0, n) for n in per_cell))
-            block = expected[2 - len(self._block) :]
-            dataset[where] = np.ascontiguousarray(values, dtype=np.float64).reshape(block)
+            start = (index, *(part.start for part in self._block), *(0 for _ in per_cell))
+            self._slabs[name].write(start, np.reshape(values, (1, *expected[2 - len(self._block) :])))
         for name, (part, values) in extra.items():
             if name in self._cell_fields or name not in self.layout:
                 raise ValueError(f"{name} is not one of the extra datasets")
-            self._file[name][(index, *part)] = np.asarray(values, dtype=np.float64)
+            start = (index, *(axis.start or 0 for axis in part), *(0 for _ in np.shape(values)[len(part) :]))
+            self._slabs[name].write(start, np.asarray(values)[np.newaxis])
 
-    def _write_time(self, index: int, time: float, what: str):
+    def _write_time(self, index: int, time: float, what: str, to_disk: bool):
         with self._agreed(what):
             if self.comm.rank == 0:
-                self._file["time"][index] = time
-        self._flush(what)
+                self._slabs["time"].write((index,), np.array([time]))
+        self._flush(what, to_disk)
         self.stored[index] = time
 
-    def _flush(self, what: str):
-        with self._agreed(what):
-            self._file.flush()
+    def _flush(self, what: str, to_disk: bool):
+        """Let what was written leave this process, where HDF5 keeps it in a buffer, or reach the disk. Collective."""
+        if to_disk or self._buffers:
+            with self._agreed(what):
+                self._file.flush()
 
 
 def _block(domain: Domain) -> tuple[slice, ...]:

@@ -8,6 +8,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 if TYPE_CHECKING:
     from mpi4py import MPI
 
@@ -68,6 +70,29 @@ def contiguous() -> Any:
     properties.set_layout(h5py.h5d.CONTIGUOUS)
     properties.set_alloc_time(h5py.h5d.ALLOC_TIME_EARLY)
     return properties
+
+
+class Slabs:
+    """Parts of one dataset of an open file, written again and again.
+
+    What HDF5 needs to know of the dataset is looked up once: done for each part anew it costs several times as much as
+    to write some cells.
+
+    Parameters
+    ----------
+    dataset : h5py.Dataset
+    """
+
+    def __init__(self, dataset: Any) -> None:
+        self._id, self._space = dataset.id, dataset.id.get_space()
+
+    def write(self, start: tuple[int, ...], values: Any) -> None:
+        """Write an array, of as many axes as the dataset, with its first element at `start`."""
+        from h5py import h5s
+
+        block = np.ascontiguousarray(values, dtype=np.float64)
+        self._space.select_hyperslab(start, block.shape)
+        self._id.write(h5s.create_simple(block.shape), self._space, block)
 
 
 def datasets(group: Any, prefix: str = "") -> Iterator[tuple[str, Any]]:

@@ -46,6 +46,7 @@ class Xdmf:
         self._path, self._job = Path(path), job
         self._times = [float(time) for time in stored]
         self._size = -1
+        self._form = self._grid_form()
         if np.isfinite(self._times).any():
             self._write()
 
@@ -106,6 +107,10 @@ class Xdmf:
 
     def _grid(self, index: int) -> str:
         """The lines on one snapshot."""
+        return self._form.replace("TIME", repr(self._times[index])).replace("INDEX", str(index))
+
+    def _grid_form(self) -> str:
+        """The same with words for what differs from one to the next: to make them costs more than to write them."""
         job = self._job
         nx, ny = (*job.space.cells, 1, 1)[:2]
         lower = (*job.space.lower, 0.0, 0.0)[:2]
@@ -113,8 +118,8 @@ class Xdmf:
         if job.space.dimensions == 1:
             spacing = (spacing[0], spacing[0])
         number: dict[str, Any] = {"NumberType": "Float", "Precision": "8"}
-        grid = ET.Element("Grid", Name=f"snapshot {index}", GridType="Uniform")
-        ET.SubElement(grid, "Time", Value=repr(self._times[index]))
+        grid = ET.Element("Grid", Name="snapshot INDEX", GridType="Uniform")
+        ET.SubElement(grid, "Time", Value="TIME")
         # not 2DCoRectMesh: VTK's reader takes its axes for y and z
         ET.SubElement(grid, "Topology", TopologyType="2DRectMesh", Dimensions=f"{ny + 1} {nx + 1}")
         geometry = ET.SubElement(grid, "Geometry", GeometryType="VXVY")
@@ -123,7 +128,7 @@ class Xdmf:
             item.text = " ".join(repr(first + i * h) for i in range(n + 1))
         for name, layout in field_layout(job).items():
             if name != "marginal/x":
-                _xdmf_field(grid, name, layout, (len(self._times), index), (ny, nx), job.space.dimensions)
+                _xdmf_field(grid, name, layout, len(self._times), (ny, nx), job.space.dimensions)
         ET.indent(grid, level=3)
         return f"      {ET.tostring(grid, encoding='unicode')}\n"
 
@@ -132,7 +137,7 @@ def _xdmf_field(
     grid: ET.Element,
     name: str,
     layout: Layout,
-    snapshot: tuple[int, int],
+    snapshots: int,
     cells: tuple[int, int],
     dimensions: int,
 ):
@@ -141,11 +146,11 @@ def _xdmf_field(
     space, components = layout.shape[:dimensions], layout.shape[dimensions:]
     kind = {(): "Scalar", (3,): "Vector", (3, 3): "Tensor"}.get(components)
     size = f"{cells[0]} {cells[1]}"
-    whole = (snapshot[0], *layout.shape)
+    whole = (snapshots, *layout.shape)
     if kind:
         attribute = ET.SubElement(grid, "Attribute", Name=title, AttributeType=kind, Center="Cell")
         entries = f" {int(np.prod(components))}" if components else ""
-        start = (snapshot[1], *(0 for _ in layout.shape))
+        start = ("INDEX", *(0 for _ in layout.shape))
         _xdmf_slab(attribute, name, size + entries, whole, start, (1, *layout.shape))
         return
     for component in np.ndindex(*components):
@@ -155,7 +160,7 @@ def _xdmf_field(
         attribute = ET.SubElement(
             grid, "Attribute", Name=f"{title} {label}", AttributeType="Scalar", Center="Cell"
         )
-        start = (snapshot[1], *(0 for _ in space), *component)
+        start = ("INDEX", *(0 for _ in space), *component)
         _xdmf_slab(attribute, name, size, whole, start, (1, *space, *(1 for _ in component)))
 
 
@@ -164,7 +169,7 @@ def _xdmf_slab(
     name: str,
     size: str,
     whole: tuple[int, ...],
-    start: tuple[int, ...],
+    start: tuple[object, ...],
     count: tuple[int, ...],
 ):
     """Add the part of a dataset that begins at `start` and has the shape `count`, seen as of shape `size`."""

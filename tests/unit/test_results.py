@@ -225,6 +225,43 @@ def test_extra_datasets(tmp_path):
     assert run.wall_total.values.tolist() == [42.0]
 
 
+@pytest.mark.parametrize("cells", [(), (4,), (4, 5)], ids=str)
+@pytest.mark.parametrize("d", [1, 2, 3])
+def test_parts_leave_out_axes_that_are_whole(tmp_path, cells, d):
+    """A wall gives the cells of its faces and leaves the components to the file."""
+    job = make_job(cells, d)
+    extra = {"wall/shear_stress": Layout((5, d), ("y", "component"), "shear stress")}
+    values = np.arange(3.0 * d).reshape(3, d)
+    with make_file(tmp_path, job, extra=extra) as file:
+        for row, time in enumerate(job.output.times):
+            file.write(row, time, random_fields(job), {"wall/shear_stress": ((slice(2, 5),), row + values)})
+    found = results.open_run(tmp_path).wall_shear_stress.values
+    assert np.isnan(found[:, :2]).all()
+    for row in range(len(found)):
+        assert np.array_equal(found[row, 2:], row + values)
+
+
+def test_many_snapshots_wait_for_the_disk_once_a_second(tmp_path, monkeypatch):
+    """Each is there for who reads the file beside the run, whether or not the disk has it yet."""
+    job = make_job(times=[0.01 * k for k in range(60)])
+    waited, now = [], 0.0
+    monkeypatch.setattr("rvm_mpi.output.fields.monotonic", lambda: now)
+    with make_file(tmp_path, job) as file:
+        real = file._flush
+        monkeypatch.setattr(file, "_flush", lambda what, to_disk: (waited.append(to_disk), real(what, to_disk)))
+        for row, time in enumerate(job.output.times):
+            now += 0.1
+            fields = random_fields(job, row)
+            file.write(row, time, fields)
+            run = results.open_run(tmp_path)
+            assert run.time.values.tolist() == list(job.output.times[: row + 1])
+            assert np.array_equal(run.kinetic_density.values[-1].ravel(), fields["kinetic/density"].ravel())
+        assert len(waited) == 120 and 10 <= sum(waited) <= 14
+        waited.clear()
+        file.write(7, job.output.times[7], random_fields(job))  # taken again: never old values under a time
+        assert waited == [True] * 3
+
+
 def test_reopening_keeps_what_is_there_and_refuses_another_job(tmp_path):
     job = make_job()
     with make_file(tmp_path, job) as file:

@@ -92,6 +92,60 @@ def test_heat_and_work_are_the_energy_that_leaves_the_gas():
     assert drives > 0.1
 
 
+def between_walls(d, axis, temperatures, speed, accommodations, unit):
+    """A gas without collisions between two walls that slide along each other, until it is steady."""
+    along = 1 - axis
+    cells = [8] if axis == 0 else [3, 8]
+    lower, upper = (
+        moving(sign * speed * unit, temperature * unit**2, accommodation, along, d)
+        for sign, temperature, accommodation in zip((-1, 1), temperatures, accommodations)
+    )
+    boundary = {"xy"[axis]: {"lower": lower, "upper": upper}} | ({"x": "periodic"} if axis else {})
+    points = [12] * d
+    points[axis] = 40  # half of them, those that leave a wall, carry h^2/24 too much
+    mean = sqrt(temperatures[0] * temperatures[1])
+    return build(
+        space={"cells": cells, "boundary": boundary},
+        velocity={"points": points, "half_width": 6.0},
+        collision={"operator": "none"},
+        initial={"state": "uniform", "temperature": mean * unit**2},
+        time={"end": 12.0 / unit},
+    )
+
+
+CASES = [
+    (2, 0, (1.0, 1.6), 0.4, (1.0, 1.0), 1.0),
+    (2, 0, (1.5, 1.0), 0.3, (0.6, 0.9), 1.0),
+    (2, 1, (1.0, 1.4), 0.4, (1.0, 0.7), 0.01),
+    (3, 0, (1.3, 1.0), 0.5, (0.8, 1.0), 30.0),
+]
+
+
+@pytest.mark.parametrize("case", CASES, ids=str)
+def test_walls_that_heat_and_shear_without_collisions(case):
+    """Both streams carry the flux of mass; of what a wall gives, share a1 a2/(a1 + a2 - a1 a2) reaches the other.
+
+    A wall of temperature T and velocity u gives (d + 1)/2 T + u^2/2 of energy with each mass.
+    """
+    d, axis, (cold, hot), speed, (first, second), unit = case
+    simulation = Simulation(between_walls(*case))
+    for _ in simulation:
+        pass
+    whole = first + second - first * second
+    # mass of each half: of what left the one wall, and the other
+    shares = (first * (2 - second), second * (2 - first))
+    flux = sqrt(2 / pi) / (sum(share / sqrt(t) for share, t in zip(shares, (cold, hot))) / whole)
+    exchanged = flux * first * second / whole
+    walls, names = simulation.walls(), [f"wall/{'xy'[axis]}-{end}" for end in ("lower", "upper")]
+    for name, sign in zip(names, (1, -1)):
+        shear = walls[f"{name}/shear_stress"][0, 1 - axis] / unit**2
+        assert shear == pytest.approx(sign * exchanged * 2 * speed, rel=0.02)
+        energy = (walls[f"{name}/heat_flux"][0] + walls[f"{name}/work"][0]) / unit**3
+        assert energy == pytest.approx(sign * exchanged * (d + 1) / 2 * (hot - cold), rel=0.03, abs=0.005)
+        # the work is done against the shear, by the wall's own velocity
+        assert walls[f"{name}/work"][0] / unit**3 == pytest.approx(-speed * abs(shear), rel=1e-12)
+
+
 def test_the_file_has_work_beside_heat_and_says_what_they_are(tmp_path):
     assert run_job(couette(end=0.1), tmp_path / "run", quiet=True) == 0
     run = open_run(tmp_path / "run")
