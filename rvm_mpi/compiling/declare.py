@@ -69,16 +69,16 @@ class _Typed(tuple):
 
     numba finds out the types of all arguments at each call. Debian 12's, 0.56, reads memory that was never set where
     the description of one is longer than 40 bytes (`string_writer_ensure` in its `_typeof.c`), as that of a NamedTuple
-    is, and may not know it again: the call then takes a millisecond more, and memory that is never given back. For
-    what has a `_numba_type_` it takes that.
+    is, and may not know it again: the call then takes a millisecond more, and memory that is never given back. What it
+    does not know it asks `typeof_impl` for, each time.
     """
 
-    _numba_type_: Any
+    kernel_type: Any
 
 
 @numba.extending.typeof_impl.register(_Typed)
 def _type_of(value: _Typed, _context: Any) -> Any:
-    return value._numba_type_
+    return value.kernel_type
 
 
 _TYPES: dict[Any, Any] = {}
@@ -90,7 +90,7 @@ def _typed(value: Any) -> _Typed:
     if found is None:
         found = _TYPES[kind] = numba.typeof(value)
     typed = _Typed(value)
-    typed._numba_type_ = found
+    typed.kernel_type = found
     return typed
 
 
