@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from rvm_mpi.compiling.declare import kernel
-from rvm_mpi.compiling.simd import load, splat, store, total
+from rvm_mpi.compiling.simd import fma, load, splat, store, total
 from rvm_mpi.grid.domain import aligned
 from rvm_mpi.job.job import Job
 from rvm_mpi.terminal import answer
@@ -26,6 +26,12 @@ ROUNDS = 5
 STAGES = 2
 #: Courant number of a step
 CFL = 0.5
+#: what a stage moves of a phase-space cell at least: g of both time levels read, the new one written
+BYTES = 24.0
+#: vector instructions that a phase-space cell takes in a stage, counted in the sources, each as a fused multiply-add:
+#: through the faces in a direction of space, in the drift along one of velocity, all else (moments, the correction,
+#: the Gaussian, the mixing of stages)
+OPERATIONS = {"space": 25, "velocity": 30, "else": 45}
 
 
 @kernel
@@ -41,8 +47,8 @@ def _multiply_add(rounds, s, result):  # type: ignore[no-untyped-def]
     e, f, g, h = splat(5.0), splat(6.0), splat(7.0), splat(8.0)
     k = splat(s)
     for _ in range(rounds):
-        a, b, c, d = a * s + k, b * s + k, c * s + k, d * s + k
-        e, f, g, h = e * s + k, f * s + k, g * s + k, h * s + k
+        a, b, c, d = fma(a, k, k), fma(b, k, k), fma(c, k, k), fma(d, k, k)
+        e, f, g, h = fma(e, k, k), fma(f, k, k), fma(g, k, k), fma(h, k, k)
     result[0] = total(a + b + c + d + e + f + g + h)
 
 
@@ -58,6 +64,9 @@ class BenchResult:
     uncorrected_ns : the same without the conservative correction of g
     step_ns : the same from whole steps: with the fluid, diagnostics and all, and the drift in substeps where that pays
     stage_per_triad, uncorrected_per_triad, step_per_triad : ratios, the median over the rounds of each round's own
+    roofline_ns : what a stage takes at least, the longer of `BYTES` at the triad's bandwidth and `OPERATIONS` at the
+        rate of fused multiply-adds
+    roofline_share : the part of `stage_ns` that it is
     cells_per_second : phase-space cell stages per second of all ranks together, whole steps
     """
 
@@ -73,6 +82,8 @@ class BenchResult:
     stage_per_triad: float
     uncorrected_per_triad: float
     step_per_triad: float
+    roofline_ns: float
+    roofline_share: float
     cells_per_second: float
 
 
@@ -151,6 +162,8 @@ def measure(cells: tuple[int, ...], velocity: tuple[int, ...]) -> tuple[BenchRes
         statistics.median(a / b for a, b in zip(uncorrected, triads)),
         statistics.median(a / b for a, b in zip(steps, triads)),
     )
+    operations = OPERATIONS["space"] * len(cells) + OPERATIONS["velocity"] * len(velocity) + OPERATIONS["else"]
+    roofline_ns = max(BYTES / 24.0 * triad_ns, operations * 2.0 / -negative_gflops)
     return (
         BenchResult(
             cells=cells,
@@ -165,6 +178,8 @@ def measure(cells: tuple[int, ...], velocity: tuple[int, ...]) -> tuple[BenchRes
             stage_per_triad=by_stage,
             uncorrected_per_triad=by_plain,
             step_per_triad=by_step,
+            roofline_ns=roofline_ns,
+            roofline_share=roofline_ns / stage_ns,
             cells_per_second=1e9 * domain.size / step_ns,
         ),
         domain.rank,
@@ -207,6 +222,7 @@ def _lines(r: BenchResult) -> str:
             f"memory, triad      {r.triad_ns:8.3f} ns an element    {r.triad_gb_per_s:8.1f} GB/s",
             f"arithmetic, FMA    {1 / r.gflops:8.4f} ns an operation  {r.gflops:8.1f} GFLOP/s",
             f"kinetic stages     {r.stage_ns:8.3f} {each} = {r.stage_per_triad:.2f} x triad",
+            f"  roofline         {r.roofline_ns:8.3f} {each}; {100 * r.roofline_share:.0f} % of it reached",
             f"  uncorrected      {r.uncorrected_ns:8.3f} {each} = {r.uncorrected_per_triad:.2f} x triad",
             f"whole step         {r.step_ns:8.3f} {each} = {r.step_per_triad:.2f} x triad",
             f"throughput         {r.cells_per_second / 1e6:8.1f} M phase-space cell stages a second on all ranks",
