@@ -18,6 +18,7 @@ from typing import NamedTuple
 
 from rvm_mpi.compiling.declare import kernel, part
 from rvm_mpi.kinetic.gaussian import fit_axis
+from rvm_mpi.kinetic.limiter import face_number
 from rvm_mpi.kinetic.realisable import ROOM, smallest_variance
 
 SPECULAR, MAXWELL, FAR_FIELD, OUTFLOW, VACUUM = range(5)
@@ -59,10 +60,9 @@ class Side(NamedTuple):
 
 @part
 def outgoing_face(g, inner, inward, at):  # type: ignore[no-untyped-def]
-    """g on the face for a velocity that leaves: the limited slope towards the extrapolation, cut at zero."""
+    """g on the face for a velocity that leaves, which sees the extrapolation beyond, cut at zero."""
     here, before = g[inner + at], g[inner + inward + at]
-    a, b = here - before, max(2.0 * here - before, 0.0) - here
-    return here + (a * b / (a + b) if a * b > 0.0 else 0.0)
+    return face_number(here, here - before, max(2.0 * here - before, 0.0) - here)
 
 
 @part

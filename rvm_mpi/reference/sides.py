@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rvm_mpi.reference.gaussians import ROOM, axis_gaussian, least_variance
-from rvm_mpi.reference.state import Array, Problem, State, half_slope, sums
+from rvm_mpi.reference.state import Array, Problem, State, face_value, sums
 
 #: a box of so many thermal speeds on either side holds a Gaussian; so many h^2 of variance are held anywhere
 REACH, HELD_ANYWHERE = 3.5, 0.27
@@ -56,7 +56,7 @@ def ghosts(p: Problem, axis: int, end: int, g: Array, omega: Array) -> Ghosts:
     # what leaves sees the extrapolated gas, cut at zero; what enters sees on the face what the side sends
     speed = sign * p.xi[axis] * np.ones(inner.shape[1:])
     enters, extrapolated = speed > 0.0, np.maximum(2.0 * inner - g[1], 0.0)
-    leaving, incoming = inner + half_slope(inner - g[1], extrapolated - inner), np.zeros(inner.shape)
+    leaving, incoming = face_value(inner, inner - g[1], extrapolated - inner), np.zeros(inner.shape)
     for c in range(len(inner)) if side.kind in ("maxwell", "far-field") else ():
         incoming[c], lack = maxwellian_entering(p, axis, sign, p.sides[axis, end][c], inner[c], omega[0, c])
         if side.kind == "maxwell":  # as much mass as leaves, counted with its sign

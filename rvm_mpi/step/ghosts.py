@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from rvm_mpi.job.job import Job
     from rvm_mpi.step.data import Cells, Grid, Model, Sides, Space
 
-#: ghost cells of g: Van Leer's stencil reaches two cells
+#: ghost cells of g: a face's value reaches two cells
 GHOSTS = 2
 SIDES = ("x-lower", "x-upper", "y-lower", "y-upper")
 

@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     from rvm_mpi.grid.domain import Domain
     from rvm_mpi.job.job import Job
 
-#: Courant number up to which Van Leer's limiter keeps g positive
+#: Courant number up to which the limiters keep g positive
 POSITIVE = 0.5
 
 
