@@ -1,9 +1,9 @@
 """Limiters: the value on a face that transport in x takes, and slopes on vectors: Van Leer's in three forms, and MC.
 
 A face's value is the upwind-biased u + (2 b + a)/6 of third order, a and b the differences behind u and ahead of it,
-within u + a and u + b where these lie on one side (Koren's limiter) and u otherwise, these bounds widened to (1 - ROOM) u
-and (1 + ROOM) u where that is more. No division; where all values are positive the face's is between 0 and 2 u, and so
-g >= 0 up to a Courant number of one half in all directions together.
+within u + a and u + b where these lie on one side (Koren's limiter), and u where they do not; these bounds are widened
+to (1 - ROOM) u and (1 + ROOM) u where that is more. No division; where all values are positive the face's is between 0
+and 2 u, and so g >= 0 up to a Courant number of one half in all directions together.
 """
 
 from __future__ import annotations

@@ -1,8 +1,9 @@
 """Boundary conditions of g: what the two ghost cells beyond a side hold, and what their nodes cannot say.
 
-Velocities that leave see the extrapolated gas, cut at zero, so that the limiter keeps second order up to the wall;
-velocities that enter see, in both ghost cells, the value g has on the face: reflected, of the wall's or of the far
-gas's Maxwellian, or none. A specular wall mirrors the gas, which is the same as the mirrored domain beyond it.
+Velocities that leave see the extrapolated gas, half of that inside at least: the face's value is of second order up to
+the wall, and something always leaves. Velocities that enter see in the near ghost cell the value g has on the face,
+reflected, of the wall's or of the far gas's Maxwellian, or none, and in the far one what makes the face's value the
+near cell's. A specular wall mirrors the gas, which is the same as the mirrored domain beyond it.
 
 A Maxwellian that enters is the discrete Gaussian that the gas inside relaxes to (`gaussian.fit_axis`, axis by axis), in
 the inner cell's omega: u/omega and T/omega^2. So a gas in equilibrium with its side stays as it is, to round-off, on
@@ -59,10 +60,16 @@ class Side(NamedTuple):
 
 
 @part
+def extrapolated(here, before):  # type: ignore[no-untyped-def]
+    """g beyond a side from the two cells inside; half of the inner one's at least, so that something always leaves."""
+    return max(2.0 * here - before, 0.5 * here)
+
+
+@part
 def outgoing_face(g, inner, inward, at):  # type: ignore[no-untyped-def]
-    """g on the face for a velocity that leaves, which sees the extrapolation beyond, cut at zero."""
+    """g on the face for a velocity that leaves, which sees the extrapolation beyond."""
     here, before = g[inner + at], g[inner + inward + at]
-    return face_number(here, here - before, max(2.0 * here - before, 0.0) - here)
+    return face_number(here, here - before, extrapolated(here, before) - here)
 
 
 @part
@@ -254,6 +261,7 @@ def fill_side(g, side, states, omega, sums, grid, work, beyond):  # type: ignore
                         if side.kind == MAXWELL and side.accommodation < 1.0:
                             value += (1.0 - side.accommodation) * outgoing_face(g, cell, side.inward, mirrored + n)
                     else:
-                        value = max(2.0 * g[cell + at] - g[cell + side.inward + at], 0.0)
+                        value = extrapolated(g[cell + at], g[cell + side.inward + at])
                     g[near + at] = value
-                    g[far + at] = value
+                    # where it enters the differences are as 1 to -2, for which the face's value is the near cell's
+                    g[far + at] = 2.0 * g[cell + at] - value
