@@ -1,9 +1,39 @@
-"""Slopes limited on vectors: Van Leer's, in three forms that differ in what they cost beside other work, and MC."""
+"""Limiters: the value on a face that transport in x takes, and slopes on vectors: Van Leer's in three forms, and MC.
+
+A face's value is the upwind-biased u + (2 b + a)/6 of third order, a and b the differences behind u and ahead of it,
+within u + a and u + b where these lie on one side (Koren's limiter), and u where they do not; these bounds are widened
+to (1 - ROOM) u and (1 + ROOM) u where that is more. No division; where all values are positive the face's is between 0
+and 2 u, and so g >= 0 up to a Courant number of one half in all directions together.
+"""
 
 from __future__ import annotations
 
 from rvm_mpi.compiling.declare import part
 from rvm_mpi.compiling.simd import fma, maximum, minimum, rough_inverse, splat, where_above, where_positive
+
+#: what a face's value may leave the upwind one by anyway, over the latter: keeps the third order at smooth extrema, and
+#: with none rounding grows where g is steep (a disc on 32 x 32 cells was asymmetric by 1e-5), for Koren's bounds alone
+#: take the downwind value there; more makes a front ring
+ROOM = 0.02
+_THIRD, _SIXTH = 1.0 / 3.0, 1.0 / 6.0
+
+
+@part
+def face_value(u, a, b):  # type: ignore[no-untyped-def]
+    """The value on the face ahead of u, a and b the differences behind it and ahead of it; vectors."""
+    room = abs(u) * ROOM
+    high = maximum(room, minimum(a, b))
+    low = minimum(splat(0.0) - room, maximum(a, b))
+    return u + maximum(low, minimum(high, fma(b, splat(_THIRD), a * _SIXTH)))
+
+
+@part
+def face_number(u, a, b):  # type: ignore[no-untyped-def]
+    """`face_value` of numbers, the same to the last bit."""
+    room = abs(u) * ROOM
+    high = max(room, min(a, b))
+    low = min(-room, max(a, b))
+    return u + max(low, min(high, fma(b, _THIRD, a * _SIXTH)))
 
 
 @part

@@ -1,9 +1,8 @@
-"""div_x (omega xi g): Van Leer's upwind fluxes through the faces between cells.
+"""div_x (omega xi g): upwind fluxes of third order through the faces between cells.
 
 A face flux is kept as the block omega_face xi_n g_face / h, a rate; its moments (1, omega xi, omega^2 |xi|^2) come with
 it, for they carry mass, momentum and energy across the face (`conservation.py`). Both g and omega are reconstructed
-upwind with Van Leer's harmonic limiter, which keeps g >= 0 for a Courant number up to one half in all directions
-together.
+upwind by `limiter.face_value`, which keeps g >= 0 for a Courant number up to one half in all directions together.
 """
 
 from __future__ import annotations
@@ -15,7 +14,7 @@ import numpy as np
 from rvm_mpi.compiling.declare import part
 from rvm_mpi.compiling.simd import fma, load, prefetch, splat, store, total, where_positive
 from rvm_mpi.grid.velocity import Y, Z
-from rvm_mpi.kinetic.limiter import van_leer, van_leer_newton
+from rvm_mpi.kinetic.limiter import face_value
 
 #: nodes of a slab whose face values are kept at a time, few enough for the nearest cache
 PIECE = 128
@@ -101,7 +100,7 @@ def upper_fluxes(g, cell, grid, upper, lower, change, moments_x, moments_y):  # 
         q0, q1, qy, qz, q2, q3 = zero, zero, zero, zero, zero, zero
         for begin in range(0, slab_size, PIECE):
             end = min(begin + PIECE, slab_size)
-            # the values on the faces first: a slope is long in coming, and so more of them are under way at a time
+            # the values on the faces first: a limiter is long in coming, and so more of them are under way at a time
             for n in range(begin, end, 8):
                 # a processor finds out by itself what comes next, but anew for each page
                 prefetch(g, new_x + AHEAD + n)
@@ -121,8 +120,8 @@ def upper_fluxes(g, cell, grid, upper, lower, change, moments_x, moments_y):  # 
                     down, up = load(g, base + n), load(g, base + along_y + n)
                     v, ahead = where_positive(y, down, up), where_positive(y, up, down)
                     behind = where_positive(y, load(g, base - along_y + n), load(g, base + 2 * along_y + n))
-                store(faces, n - begin, u + van_leer(u - load(g, behind_x + n), load(g, ahead_x + n) - u))
-                store(faces, PIECE + n - begin, v + van_leer_newton(v - behind, ahead - v))
+                store(faces, n - begin, face_value(u, u - load(g, behind_x + n), load(g, ahead_x + n) - u))
+                store(faces, PIECE + n - begin, face_value(v, v - behind, ahead - v))
             for n in range(begin, end, 8):
                 y = load(slab, Y * slab_size + n)
                 z = load(slab, Z * slab_size + n)

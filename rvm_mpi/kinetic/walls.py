@@ -1,8 +1,9 @@
 """Boundary conditions of g: what the two ghost cells beyond a side hold, and what their nodes cannot say.
 
-Velocities that leave see the extrapolated gas, cut at zero, so that the limiter keeps second order up to the wall;
-velocities that enter see, in both ghost cells, the value g has on the face: reflected, of the wall's or of the far
-gas's Maxwellian, or none. A specular wall mirrors the gas, which is the same as the mirrored domain beyond it.
+Velocities that leave see the extrapolated gas, half of that inside at least: the face's value is of second order up to
+the wall, and something always leaves. Velocities that enter see in the near ghost cell the value g has on the face,
+reflected, of the wall's or of the far gas's Maxwellian, or none, and in the far one what makes the face's value the
+near cell's. A specular wall mirrors the gas, which is the same as the mirrored domain beyond it.
 
 A Maxwellian that enters is the discrete Gaussian that the gas inside relaxes to (`gaussian.fit_axis`, axis by axis), in
 the inner cell's omega: u/omega and T/omega^2. So a gas in equilibrium with its side stays as it is, to round-off, on
@@ -18,6 +19,7 @@ from typing import NamedTuple
 
 from rvm_mpi.compiling.declare import kernel, part
 from rvm_mpi.kinetic.gaussian import fit_axis
+from rvm_mpi.kinetic.limiter import face_number
 from rvm_mpi.kinetic.realisable import ROOM, smallest_variance
 
 SPECULAR, MAXWELL, FAR_FIELD, OUTFLOW, VACUUM = range(5)
@@ -58,11 +60,16 @@ class Side(NamedTuple):
 
 
 @part
+def extrapolated(here, before):  # type: ignore[no-untyped-def]
+    """g beyond a side from the two cells inside; half of the inner one's at least, so that something always leaves."""
+    return max(2.0 * here - before, 0.5 * here)
+
+
+@part
 def outgoing_face(g, inner, inward, at):  # type: ignore[no-untyped-def]
-    """g on the face for a velocity that leaves: the limited slope towards the extrapolation, cut at zero."""
+    """g on the face for a velocity that leaves, which sees the extrapolation beyond."""
     here, before = g[inner + at], g[inner + inward + at]
-    a, b = here - before, max(2.0 * here - before, 0.0) - here
-    return here + (a * b / (a + b) if a * b > 0.0 else 0.0)
+    return face_number(here, here - before, extrapolated(here, before) - here)
 
 
 @part
@@ -226,16 +233,17 @@ def outflow(g, cell, side, grid):  # type: ignore[no-untyped-def]
 
 @part
 def vacuum(g, cell, side, grid):  # type: ignore[no-untyped-def]
-    """Ghost cells of a side that sends nothing in; what leaves is extrapolated, cut at zero."""
+    """Ghost cells of a side that sends nothing in; what leaves is extrapolated."""
     near = cell - side.inward
     for k in range(grid.points[0]):
         for j in range(grid.points[1]):
             enters = inward_speed(side, grid, k, j) > 0.0
             first = k * grid.slab_size + j * grid.points[2]
             for at in range(first, first + grid.points[2]):
-                value = 0.0 if enters else max(2.0 * g[cell + at] - g[cell + side.inward + at], 0.0)
+                value = 0.0 if enters else extrapolated(g[cell + at], g[cell + side.inward + at])
                 g[near + at] = value
-                g[near - side.inward + at] = value
+                # where it enters the differences are as 1 to -2, for which the face's value is the near cell's
+                g[near - side.inward + at] = 2.0 * g[cell + at] - value
 
 
 @part
@@ -246,11 +254,11 @@ def far_field(g, cell, side, grid, density, work):  # type: ignore[no-untyped-de
     for k in range(grid.points[0]):
         for j in range(grid.points[1]):
             if inward_speed(side, grid, k, j) > 0.0:
-                at = near + k * grid.slab_size + j * grid.points[2]
+                first = k * grid.slab_size + j * grid.points[2]
                 for n in range(grid.points[2]):
                     value = density * work[0, k] * work[1, j] * work[2, n]
-                    g[at + n] = value
-                    g[at - side.inward + n] = value
+                    g[near + first + n] = value
+                    g[near - side.inward + first + n] = 2.0 * g[cell + first + n] - value
 
 
 @part
@@ -267,7 +275,7 @@ def maxwell(g, cell, side, grid, density, work):  # type: ignore[no-untyped-def]
                 for n in range(grid.points[2]):
                     value = share * outgoing_face(g, cell, side.inward, there + n)
                     g[at + n] += value
-                    g[at - side.inward + n] += value
+                    g[at - side.inward + n] -= value
 
 
 @part

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rvm_mpi.reference.gaussians import ROOM, axis_gaussian, least_variance
-from rvm_mpi.reference.state import Array, Problem, State, half_slope, sums
+from rvm_mpi.reference.state import Array, Problem, State, face_value, sums
 
 #: a box of so many thermal speeds on either side holds a Gaussian; so many h^2 of variance are held anywhere
 REACH, HELD_ANYWHERE = 3.5, 0.27
@@ -36,12 +36,19 @@ def with_ghosts(p: Problem, state: State, axis: int) -> tuple[Array, Array, list
         around = np.arange(-2, len(g) + 2) % len(g)
         return g[around], omega[around], [np.zeros((g.shape[1], 5))] * 2
     low, high = ghosts(p, axis, 0, g, omega), ghosts(p, axis, 1, g[::-1], omega[::-1])
-    below, above = (1 if low.mirrored else 0), (-2 if high.mirrored else -1)
     return (
         np.concatenate([[low.far, low.near], g, [high.near, high.far]]),
-        np.concatenate([omega[[below, 0]], omega, omega[[-1, above]]]),
+        np.concatenate([omega_beyond(p, low, omega)[::-1], omega, omega_beyond(p, high, omega[::-1])]),
         [low.beyond, high.beyond],
     )
+
+
+def omega_beyond(p: Problem, side: Ghosts, omega: Array) -> Array:
+    """omega of the near and the far ghost cell: that on the face is then the inner cell's, as either side sees it."""
+    if side.mirrored or not p.job.scheme.conservative:
+        return omega[[0, 1 if side.mirrored else 0]]
+    half = 0.5 * (omega[1] - omega[0])
+    return np.stack([omega[0] + half, omega[0] + 5.0 * half])
 
 
 def ghosts(p: Problem, axis: int, end: int, g: Array, omega: Array) -> Ghosts:
@@ -53,10 +60,10 @@ def ghosts(p: Problem, axis: int, end: int, g: Array, omega: Array) -> Ghosts:
         return Ghosts(np.flip(inner, across), np.flip(g[1], across), beyond, True)
     if side.kind == "outflow":
         return Ghosts(inner, inner, beyond, False)
-    # what leaves sees the extrapolated gas, cut at zero; what enters sees on the face what the side sends
+    # what leaves sees the extrapolated gas, half of that inside at least; what enters sees what the side sends
     speed = sign * p.xi[axis] * np.ones(inner.shape[1:])
-    enters, extrapolated = speed > 0.0, np.maximum(2.0 * inner - g[1], 0.0)
-    leaving, incoming = inner + half_slope(inner - g[1], extrapolated - inner), np.zeros(inner.shape)
+    enters, extrapolated = speed > 0.0, np.maximum(2.0 * inner - g[1], 0.5 * inner)
+    leaving, incoming = face_value(inner, inner - g[1], extrapolated - inner), np.zeros(inner.shape)
     for c in range(len(inner)) if side.kind in ("maxwell", "far-field") else ():
         incoming[c], lack = maxwellian_entering(p, axis, sign, p.sides[axis, end][c], inner[c], omega[0, c])
         if side.kind == "maxwell":  # as much mass as leaves, counted with its sign
@@ -68,7 +75,8 @@ def ghosts(p: Problem, axis: int, end: int, g: Array, omega: Array) -> Ghosts:
         if side.kind == "maxwell":
             incoming[c] += (1.0 - accommodation) * np.flip(leaving[c], across)
     value = np.where(enters, incoming, extrapolated)
-    return Ghosts(value, value, beyond, False)
+    # where it enters, differences as 1 to -2 make the face's value the near cell's
+    return Ghosts(value, 2.0 * inner - value, beyond, False)
 
 
 def maxwellian_entering(

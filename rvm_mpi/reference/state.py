@@ -112,3 +112,13 @@ def half_slope(a: Array, b: Array) -> Array:
     """Half of Van Leer's slope, a b/(a + b) where differences have one sign."""
     with np.errstate(all="ignore"):
         return np.where(a * b > 0.0, a * b / (a + b), 0.0)
+
+
+def face_value(u: Array, a: Array, b: Array) -> Array:
+    """The value on the face ahead of u, a and b the differences behind and ahead: (2 b + a)/6 beyond u, within bounds.
+
+    Koren's: the smaller difference, none where they differ in sign; but at least a fiftieth of u.
+    """
+    room = 0.02 * np.abs(u)
+    low, high = np.minimum(-room, np.maximum(a, b)), np.maximum(room, np.minimum(a, b))
+    return u + np.clip((2.0 * b + a) / 6.0, low, high)

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rvm_mpi.reference.sides import with_ghosts
-from rvm_mpi.reference.state import Array, Problem, State, half_slope, nodewise, sums
+from rvm_mpi.reference.state import Array, Problem, State, face_value, nodewise, sums
 
 
 class Transport(NamedTuple):
@@ -24,7 +24,7 @@ class Transport(NamedTuple):
 
 
 def transport(p: Problem, state: State) -> Transport:
-    """Van Leer's upwind fluxes of g with omega on the face, upwind too where moments are carried."""
+    """Upwind fluxes of g with omega on the face, upwind too where moments are carried."""
     cells, space = state.omega.shape, p.job.space
     rate, N, courant = np.zeros(state.g.shape), np.zeros((*cells, 5)), np.zeros(cells)
     gradient = np.zeros((space.dimensions, 2, *cells))
@@ -52,5 +52,5 @@ def transport(p: Problem, state: State) -> Transport:
 def face_values(cells: Array) -> tuple[Array, Array]:
     """The value on each face as the lower and as the upper cell see it, from cells with two ghosts, axis first."""
     step = np.diff(cells, axis=0)
-    bend = half_slope(step[:-1], step[1:])
-    return cells[1:-2] + bend[:-1], cells[2:-1] - bend[1:]
+    below, across, above = step[:-2], step[1:-1], step[2:]
+    return face_value(cells[1:-2], below, across), face_value(cells[2:-1], -above, -across)

@@ -118,7 +118,7 @@ class Model(NamedTuple):
     courant: float
 
 
-#: Courant number up to which Van Leer's limiter keeps g positive
+#: Courant number up to which the limiters keep g positive
 POSITIVE = 0.5
 
 

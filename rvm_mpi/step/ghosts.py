@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from rvm_mpi.job.job import Job
     from rvm_mpi.step.data import Cells, Grid, Model, Sides, Space
 
-#: ghost cells of g: Van Leer's stencil reaches two cells
+#: ghost cells of g: a face's value reaches two cells
 GHOSTS = 2
 SIDES = ("x-lower", "x-upper", "y-lower", "y-upper")
 
@@ -71,14 +71,22 @@ class GhostCells:
             fill_side(g.reshape(-1), side, states, omega, sums, self.grid, self._work, beyond)
 
     def _fill_omega(self, field: np.ndarray, axis: int, lower: bool, mirrored: bool) -> np.ndarray:
-        """omega beyond a side is that of the inner cell; a specular wall mirrors it like the gas. The inner cells'."""
+        """Fill omega beyond a side, so that on the face it is that of the inner cell; returns the inner cells'.
+
+        A specular wall mirrors it like the gas. Else, where faces see omega upwind, the near cell is such that
+        differences are as 1 to -1/2 for what leaves and as 4 to 1 for what enters: `limiter.face_number` then gives the
+        inner cell's.
+        """
         space = self.space
         inner = np.s_[space.wy : space.wy + space.ny], np.s_[space.wx : space.wx + space.nx]
         field = field[inner[0]].T if axis == 0 else field[:, inner[1]]
         near, far, edge, next_one = (1, 0, 2, 3) if lower else (-2, -1, -3, -4)
         omega = field[edge].copy()
-        field[near] = omega
-        field[far] = field[next_one] if mirrored else omega
+        if mirrored or not self.model.conservative:
+            field[near], field[far] = omega, field[next_one] if mirrored else omega
+        else:
+            half = 0.5 * (field[next_one] - omega)
+            field[near], field[far] = omega + half, omega + 5.0 * half
         return omega
 
     def _side(self, name: str) -> Side:

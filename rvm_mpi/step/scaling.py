@@ -5,12 +5,7 @@ from __future__ import annotations
 from rvm_mpi.compiling.declare import part
 from rvm_mpi.kinetic.drift import Drift
 from rvm_mpi.kinetic.drift_speed import fastest_along, fastest_turning
-
-
-@part
-def limited(a, b):  # type: ignore[no-untyped-def]
-    """Half of Van Leer's slope."""
-    return a * b / (a + b) if a * b > 0.0 else 0.0
+from rvm_mpi.kinetic.limiter import face_number
 
 
 @part
@@ -18,15 +13,15 @@ def face_omega(upwind, omega, y, x, down, right):  # type: ignore[no-untyped-def
     """omega at the upper face of cell (y, x) along (down, right), as this cell and as the next one see it.
 
     Upwind where the moments are carried by the fluxes: velocities that go up carry the lower cell's omega, those that
-    go down the upper cell's, each reconstructed with Van Leer's limiter, so that what crosses a face is what the gas of
-    that side sends, however much omega jumps. Without carried moments nothing but the drift takes back what a jump of
+    go down the upper cell's, each reconstructed as g is, so that what crosses a face is what the gas of that side
+    sends, however much omega jumps. Without carried moments nothing but the drift takes back what a jump of
     omega does to g, and it does so best with the mean.
     """
     b, c = omega[y, x], omega[y + down, x + right]
     if not upwind:
         return 0.5 * (b + c), 0.5 * (b + c)
     a, e = omega[y - down, x - right], omega[y + 2 * down, x + 2 * right]
-    return b + limited(b - a, c - b), c - limited(c - b, e - c)
+    return face_number(b, b - a, c - b), face_number(c, c - e, b - c)
 
 
 @part

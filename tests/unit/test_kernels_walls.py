@@ -133,7 +133,8 @@ def test_no_mass_through_a_maxwell_wall(points, seed, side, signed, accommodatio
     entering = inward > 0
     for c in range(COUNT):
         rest = after[c, 1] - (1.0 - accommodation) * reflected[c]
-        assert np.all(after[c, 0][entering] == after[c, 1][entering])
+        through = flux[c][entering] / inward[entering]
+        np.testing.assert_allclose(through, after[c, 1][entering], rtol=1e-15, atol=1e-15 * after[c, 2].max())
         if accommodation < 0.1:
             continue  # the small difference of large numbers
         strongest = entering & (rest >= 1e-3 * rest[entering].max())

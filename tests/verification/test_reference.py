@@ -279,13 +279,13 @@ def test_steps_agree(name, monkeypatch):
 
 #: functions of the reference, and cases that feel a change of what they return by 1e-5 of it
 TERMS = [
-    (transport, "half_slope", "2D/2V, none, kinetic, carried"),
-    (transport, "half_slope", "1D/1V, none, none, measured"),
+    (transport, "face_value", "2D/2V, none, kinetic, carried"),
+    (transport, "face_value", "1D/1V, none, none, measured"),
     (drift, "half_slope", "2D/2V, van-leer with transport"),
     (drift, "half_slope", "2D/2V, van-leer in substeps"),
     (drift, "linear_flux", "2D/3V, kappa with transport"),
     (drift, "bounded", "2D/3V, seventh-order-positive in substeps"),
-    (sides, "half_slope", "2D/3V, maxwell, none"),
+    (sides, "face_value", "2D/3V, maxwell, none"),
     (sides, "maxwellian_entering", "1D/1V, cold and hot walls"),
     (sides, "maxwellian_entering", "2D/3V, far field, macroscopic"),
     (sides, "frame", "1D/1V, cold and hot walls"),
