@@ -174,6 +174,8 @@ def test_what_enters_has_the_moments_of_the_sides_state(points, seed, side, temp
         s.states[:, 1 + s.axis] = 0.0
     s.own[:] = own
     found = entering_moments(s, s.fill(kind))
+    # what is on the face is a difference from the inner cell's g
+    rounded = 1e-14 * RATE * s.before.max() * s.grid.weight * s.grid.block
     h, n = s.spacing(), s.axis
     for c in range(COUNT):
         state, mass = s.states[c], found[c, 0]
@@ -188,7 +190,7 @@ def test_what_enters_has_the_moments_of_the_sides_state(points, seed, side, temp
         assert s.sign * mass > 0.0
         across = [q for q in range(s.d) if q != n]
         for q in across:
-            assert found[c, 1 + q] == pytest.approx(mass * state[1 + q], rel=1e-10, abs=1e-10 * abs(mass))
+            assert found[c, 1 + q] == pytest.approx(mass * state[1 + q], rel=1e-10, abs=1e-10 * abs(mass) + rounded)
         rest = found[c, 4] / mass - 0.5 * sum(state[1 + q] ** 2 + t for q in across)
         assert rest > 0.0
         if resolved:
