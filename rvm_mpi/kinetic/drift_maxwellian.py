@@ -76,7 +76,7 @@ def sampled(per_spacing, sign, mean, temperature):  # type: ignore[no-untyped-de
 
 @part
 def on_axis(grid, drift, width, q):  # type: ignore[no-untyped-def]
-    """The Maxwellian of axis q on its nodes and on its faces: centre and -1/(2 width) of each, one's sum over the other's."""
+    """The Maxwellian of axis q on its nodes and on its faces: centre and -1/(2 width) of each, ratio of their sums."""
     odd = 1.0 if grid.points[q] % 2 == 1 else -1.0
     node = sampled(grid.per_spacing[q], odd, drift.centre[q], width)
     face = sampled(grid.per_spacing[q], -odd, drift.centre[q], width)

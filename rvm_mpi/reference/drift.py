@@ -80,10 +80,26 @@ def width(p: Problem, turning: Turning) -> Array:
     return np.maximum(turning.T, farthest / 1200.0)
 
 
+def sampled(x: Array, h: float, sign: float, mean: Array, T: Array) -> Array:
+    """The Gaussian whose samples have this mean and variance, by the first harmonic of Poisson's sum.
+
+    sign: 1 for samples at multiples of h, -1 for samples half between them.
+    """
+    wave, centre, width = 2.0 * np.pi / h, mean, T
+    for _ in range(3):
+        share = 2.0 * sign * np.exp(-0.5 * wave**2 * width)
+        phase = wave * centre
+        centre = mean + width * wave * share * np.sin(phase)
+        width = T + np.clip((width * wave) ** 2 * share * np.cos(phase), -0.4 * T, 0.4 * T)
+    whole = np.sqrt(width) * np.maximum(1.0 + share * np.cos(wave * centre), 0.5)
+    return np.exp(-0.5 * (x - centre) ** 2 / width) / whole
+
+
 def relative_flux(a: Array, g: Array, axis: Array, mean: Array, T: Array) -> Array:
     """a g on the faces as a M v, v from h = g/M by the monotonised central limiter; M of this mean and temperature."""
-    faces = 0.5 * (axis[:-1] + axis[1:])
-    M, M_face = (np.exp(-0.5 * (x - mean) ** 2 / T) for x in (axis, faces))
+    h, odd = axis[1] - axis[0], 1.0 if len(axis) % 2 == 1 else -1.0
+    M = sampled(axis, h, odd, mean, T)
+    M_face = sampled(0.5 * (axis[:-1] + axis[1:]), h, -odd, mean, T)
     h = g / M
     step = np.diff(h)
     before, after = step[..., :-1], step[..., 1:]

@@ -21,7 +21,7 @@ JOBS = sorted((ROOT / "jobs").glob("*.toml"))
 SCRIPTS = sorted([*(ROOT / "jobs").glob("*.sh"), *(ROOT / "scripts").glob("*.sh")])
 
 PAPERS_SCHEME = {"title", "scaling.kind", "scheme.conservative", "scheme.drift", "fluid.enabled"}
-SCALING = {"title", "scaling.kind", "scheme.conservative"}
+SCALING = {"title", "scaling.kind", "scheme.conservative", "scheme.drift"}
 CLASSICAL = {"title", "scaling.kind", "fluid.enabled", "velocity.half_width"}
 TWINS = [
     ("test4_clustering", "test4_clustering_kinetic", SCALING),
@@ -36,7 +36,7 @@ TWINS = [
         "test4_clustering_pressure_law",
         {"title", "collision.relaxation.temperature_power"},
     ),
-    ("test1_coupled", "test1_kinetic", {"title", "scheme.conservative"}),
+    ("test1_coupled", "test1_kinetic", {"title", "scheme.conservative", "scheme.drift"}),
     ("test1_coupled", "test1_macroscopic", {"title", "scaling.kind", "fluid.enabled"}),
     ("test1_coupled", "test1_classical", {"title", "scaling.kind", "velocity.half_width"}),
     ("test2_specular", "test2_macroscopic", PAPERS_SCHEME),

@@ -73,7 +73,7 @@ def test_defaults_are_those_of_the_documentation():
     )
     assert made.velocity.half_width == (7.0, 7.0, 7.0)
     assert (made.scaling.kind, made.scaling.synchronise) == ("kinetic", 0.0)
-    assert (made.scheme.drift, made.scheme.conservative) == ("van-leer", True)
+    assert (made.scheme.drift, made.scheme.conservative) == ("maxwellian", True)
     assert made.fluid.enabled is False
     assert (made.time.cfl, made.time.dt, made.time.max_steps) == (0.5, None, None)
     assert made.output.times == (30.0,)
