@@ -51,7 +51,7 @@ EXACT = {(2, 1): (1.0220, 1.0297), (3, 1): (1.016034, 1.025218), (2, 0): (1.0, 1
 RESTITUTION = 0.9  # in d = 1
 END, LASTED, STEPS = 20, 10, 4  # relaxation times, and Runge-Kutta steps in each
 SPACINGS = (8, 9, 10, 11, 12, 14, 16, 18, 20, 24, 28, 32, 40, 48)  # velocities on V = 7
-DRIFTS = ("van-leer", "kappa", "seventh-order", "seventh-order-positive")
+DRIFTS = ("maxwellian", "van-leer", "kappa", "seventh-order", "seventh-order-positive")
 RELAXATION, CELLS, ALONG = 0.01, 64, 32
 
 

@@ -68,7 +68,7 @@ class _Typed(tuple):
     """The entries of a NamedTuple together with the type that it has in kernels.
 
     numba finds out the types of all arguments at each call. Debian 12's, 0.56, reads memory that was never set where
-    the description of one is longer than 40 bytes (`string_writer_ensure` in its `_typeof.c`), as that of a NamedTuple
+    the description of one is longer than 40 bytes (`string_writer_ensure` in its C sources), as that of a NamedTuple
     is, and may not know it again: the call then takes a millisecond more, and memory that is never given back. What it
     does not know it asks `typeof_impl` for, each time.
     """

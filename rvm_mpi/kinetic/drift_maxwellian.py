@@ -60,7 +60,7 @@ def sampled(per_spacing, sign, mean, temperature):  # type: ignore[no-untyped-de
     """The Gaussian whose samples on a uniform grid have this mean and variance: centre, -1/(2 width), sum of samples.
 
     By the first harmonic of Poisson's sum: for a spacing of 1.75 thermal speeds the width differs by 4 % from the
-    temperature, for one below 1 by nothing. sign: 1 for a grid with a sample at zero, -1 for one that has it in between.
+    temperature, for one below 1 by nothing. sign: 1 for a grid with a sample at zero, -1 for one with zero in between.
     """
     centre, width, share = mean, temperature, 0.0
     wave = 2.0 * math.pi * per_spacing

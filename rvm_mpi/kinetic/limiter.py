@@ -28,9 +28,9 @@ def face_value(u, a, b):  # type: ignore[no-untyped-def]
 
 
 @part
-def face_number(u, a, b):  # type: ignore[no-untyped-def]
-    """`face_value` of numbers, the same to the last bit."""
-    room = abs(u) * ROOM
+def face_number(u, a, b, free):  # type: ignore[no-untyped-def]
+    """`face_value` of numbers, the same to the last bit where `free` is ROOM; with 0 Koren's bounds alone."""
+    room = abs(u) * free
     high = max(room, min(a, b))
     low = min(-room, max(a, b))
     return u + max(low, min(high, fma(b, _THIRD, a * _SIXTH)))

@@ -19,6 +19,7 @@ from typing import NamedTuple
 
 from rvm_mpi.compiling.declare import kernel, part
 from rvm_mpi.kinetic.gaussian import fit_axis
+from rvm_mpi.kinetic.limiter import ROOM as FACE_ROOM
 from rvm_mpi.kinetic.limiter import face_number
 from rvm_mpi.kinetic.realisable import ROOM, smallest_variance
 
@@ -69,7 +70,7 @@ def extrapolated(here, before):  # type: ignore[no-untyped-def]
 def outgoing_face(g, inner, inward, at):  # type: ignore[no-untyped-def]
     """g on the face for a velocity that leaves, which sees the extrapolation beyond."""
     here, before = g[inner + at], g[inner + inward + at]
-    return face_number(here, here - before, extrapolated(here, before) - here)
+    return face_number(here, here - before, extrapolated(here, before) - here, FACE_ROOM)
 
 
 @part

@@ -114,11 +114,11 @@ def half_slope(a: Array, b: Array) -> Array:
         return np.where(a * b > 0.0, a * b / (a + b), 0.0)
 
 
-def face_value(u: Array, a: Array, b: Array) -> Array:
+def face_value(u: Array, a: Array, b: Array, room: float = 0.02) -> Array:
     """The value on the face ahead of u, a and b the differences behind and ahead: (2 b + a)/6 beyond u, within bounds.
 
-    Koren's: the smaller difference, none where they differ in sign; but at least a fiftieth of u.
+    Koren's: the smaller difference, none where they differ in sign; but at least that room, in units of u.
     """
-    room = 0.02 * np.abs(u)
-    low, high = np.minimum(-room, np.maximum(a, b)), np.maximum(room, np.minimum(a, b))
+    free = room * np.abs(u)
+    low, high = np.minimum(-free, np.maximum(a, b)), np.maximum(free, np.minimum(a, b))
     return u + np.clip((2.0 * b + a) / 6.0, low, high)

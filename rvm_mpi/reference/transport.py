@@ -30,7 +30,7 @@ def transport(p: Problem, state: State) -> Transport:
     gradient = np.zeros((space.dimensions, 2, *cells))
     for axis, dx in enumerate(space.spacing):
         g, omega, beyond = with_ghosts(p, state, axis)
-        up, down = face_values(omega)
+        up, down = face_values(omega, 0.0)  # a jump of omega must not set gas at rest in motion
         if not p.job.scheme.conservative:
             up = down = 0.5 * (omega[1:-2] + omega[2:-1])
         xi, (lower, upper) = p.xi[axis], face_values(g)
@@ -49,8 +49,8 @@ def transport(p: Problem, state: State) -> Transport:
     return Transport(rate, N, gradient, courant)
 
 
-def face_values(cells: Array) -> tuple[Array, Array]:
+def face_values(cells: Array, room: float = 0.02) -> tuple[Array, Array]:
     """The value on each face as the lower and as the upper cell see it, from cells with two ghosts, axis first."""
     step = np.diff(cells, axis=0)
     below, across, above = step[:-2], step[1:-1], step[2:]
-    return face_value(cells[1:-2], below, across), face_value(cells[2:-1], -above, -across)
+    return face_value(cells[1:-2], below, across, room), face_value(cells[2:-1], -above, -across, room)

@@ -21,7 +21,8 @@ def test_no_opinion_of_a_linter_stops(target):
 
 def test_continuous_integration_lints_first_and_then_tests():
     lines = (ROOT / ".ci" / "run").read_text().splitlines()
-    assert lines[1:] == [lines[1], "set -eu", 'cd "$(dirname "$0")/.."', "make lint", "exec make test"]
+    steps = ["make lint", "scripts/numba_versions.sh bits", "exec make test"]
+    assert lines[1:] == [lines[1], "set -eu", 'cd "$(dirname "$0")/.."', *steps]
     assert "mypy" in said("make", "--dry-run", "lint").stdout
 
 

@@ -24,7 +24,7 @@ def eights(elements):
 def faces(u, a, b, out):
     simd.store(out, 0, limiter.face_value(simd.load(u, 0), simd.load(a, 0), simd.load(b, 0)))
     for lane in range(8):
-        out[8 + lane] = limiter.face_number(u[lane], a[lane], b[lane])
+        out[8 + lane] = limiter.face_number(u[lane], a[lane], b[lane], limiter.ROOM)
 
 
 def on_face(behind, u, ahead):

@@ -12,14 +12,18 @@ def relative(a, b):
     return abs(a - b).max() / abs(a).max()
 
 
-@pytest.mark.parametrize("scaling", ["kinetic", "macroscopic"])
-def test_disc_of_test_5_keeps_its_symmetries(scaling):
+@pytest.mark.parametrize(
+    ("scaling", "drift", "within"),
+    [(scaling, *case) for scaling in ("kinetic", "macroscopic") for case in (("van-leer", 1e-12), ("maxwellian", 1e-4))],
+)
+def test_disc_of_test_5_keeps_its_symmetries(scaling, drift, within):
+    """To rounding, which the limiter of the Maxwellian drift lets grow where h is steep."""
     simulation = run(
         build(
             space={"cells": [16, 16], "lower": [-1, -1], "upper": [1, 1], "boundary": FAR},
             velocity={"points": [12, 12, 8], "half_width": 7.0},
             scaling=scaling,
-            scheme={"conservative": scaling == "kinetic"},
+            scheme={"conservative": scaling == "kinetic", "drift": drift},
             collision=es_bgk(0.05, 0.925 * np.pi / 2, prandtl=2 / 3),
             initial={"state": "temperature-disc", "inner": 1.0, "outer": 100.0},
             time={"end": 0.1, "max_steps": 12},
@@ -35,7 +39,7 @@ def test_disc_of_test_5_keeps_its_symmetries(scaling):
     worst = max(worst, *(relative(u, b) for b in turned))
     print(f"{scaling}: relative asymmetry {worst:.1e} after {simulation.number} steps")
     assert abs(u).max() > 0.02
-    assert worst < 1e-12
+    assert worst < within
 
 
 @pytest.mark.parametrize("operator", ["none", "granular-es-bgk"])

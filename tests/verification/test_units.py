@@ -228,6 +228,7 @@ def shock_tube():
         "space": {"cells": [24], "boundary": {"x": "far-field"}},
         "velocity": {"points": [16, 12]},
         "scaling": {"kind": "macroscopic"},
+        "scheme": {"drift": "van-leer"},
         "collision": {"operator": "es-bgk", "knudsen": 0.05},
         "initial": {
             "state": "riemann",
