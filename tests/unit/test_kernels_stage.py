@@ -215,7 +215,7 @@ def test_an_omega_that_jumps_does_not_move_a_gas_at_rest():
         # the limiter leaves g on a face a fiftieth of room, omega none
         assert sampling * (1.0 - h**2) < mass < sampling + 0.01
         assert momentum < 1e-12
-        assert energy < 0.02
+        assert energy < 0.03
 
 
 def test_without_carried_moments_an_omega_that_jumps_stirs_a_gas_at_rest():

@@ -5,6 +5,7 @@ import pytest
 
 from tests.verification.kinetic_cases import build, es_bgk, line, run
 
+CASES = (("van-leer", 1e-12), ("maxwellian", 1e-4))
 FAR = {"x": "far-field", "y": "far-field"}
 
 
@@ -14,7 +15,7 @@ def relative(a, b):
 
 @pytest.mark.parametrize(
     ("scaling", "drift", "within"),
-    [(scaling, *case) for scaling in ("kinetic", "macroscopic") for case in (("van-leer", 1e-12), ("maxwellian", 1e-4))],
+    [(scaling, *case) for scaling in ("kinetic", "macroscopic") for case in CASES],
 )
 def test_disc_of_test_5_keeps_its_symmetries(scaling, drift, within):
     """To rounding, which the limiter of the Maxwellian drift lets grow where h is steep."""
