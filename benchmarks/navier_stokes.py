@@ -19,19 +19,21 @@ def main() -> None:
         ("none", "van-leer", (12, 12, 12)),
         ("kinetic", "van-leer", (12, 12, 12)),
         ("kinetic", "van-leer", (24, 12, 12)),
-        ("kinetic", "kappa", (24, 12, 12)),
+        ("kinetic", "maxwellian", (12, 12, 12)),
+        ("kinetic", "maxwellian", (24, 12, 12)),
         ("kinetic", "seventh-order", (12, 12, 12)),
         ("kinetic", "seventh-order", (24, 12, 12)),
     ):
         mu, kappa = (f(0.01, 64, points, scaling, drift) for f in (viscosity, conductivity))
         rows.append((scaling, drift, "x".join(map(str, points)), mu, kappa, mu / kappa))
     table("scaling drift velocities viscosity conductivity Prandtl", rows)
-    cases = (("none", "van-leer"), ("kinetic", "van-leer"), ("kinetic", "kappa"), ("kinetic", "seventh-order"))
+    drifts = ("van-leer", "maxwellian", "seventh-order")
+    cases = (("none", "van-leer"), *(("kinetic", drift) for drift in drifts))
     rows = []
     for n in (12, 24, 48, 96, 192):
         rows.append((n, *(conductivity(0.02, 32, (n,), *case, 1.0) for case in cases)))
     print("one velocity dimension, tau/eps = 50, 32 cells: conductivity")
-    table("velocities none kinetic,van-leer kinetic,kappa kinetic,seventh-order", rows)
+    table("velocities none kinetic,van-leer kinetic,maxwellian kinetic,seventh-order", rows)
 
 
 if __name__ == "__main__":
