@@ -15,7 +15,7 @@ from rvm_mpi.compiling.simd import LANES
 
 #: rows of `VelocityGrid.slab`
 Y, Z, Y_FACE, Z_FACE, VALID, Y_LEAST, Y_OPEN, Z_LEAST, Z_OPEN, EDGE, SPEED2 = range(11)
-Y_QUARTER, Z_QUARTER, Y_BEND, Z_BEND, Z_TAPS = range(11, 16)
+Y_FIRST, Y_LAST, Y_BEND, Z_FIRST, Z_LAST, Z_BEND, Z_TAPS = range(11, 18)
 #: smallest product of two differences that makes a slope (`limiter.van_leer3`)
 LEAST = 1e-180
 #: nodes around a face that the widest reconstruction takes
@@ -39,12 +39,12 @@ class VelocityGrid:
         on the grid are kept in: their sum times this is the density.
     x, x_face : (points_x,) array
         Nodes, and the face above each (the last one, the edge of the box, is closed).
-    slab : (15 + TAPS, slab_size) array
+    slab : (17 + TAPS, slab_size) array
         Rows Y, Z: nodes; Y_FACE, Z_FACE: the face above in y and in z, 0 where it is the edge of the box; VALID: 1 for
         a node, 0 for padding; Y_LEAST, Z_LEAST: what the product of the differences to both neighbours must exceed for
         a slope, infinite where one is missing; Y_OPEN, Z_OPEN: 1 where the face above is inside the box;
-        EDGE: 1 for the outermost nodes in y or z; SPEED2: xi_y^2 + xi_z^2; Y_QUARTER, Z_QUARTER: 1/4 where there are
-        neighbours on both sides; Y_BEND, Z_BEND: -1/24 where the face above is inside the box;
+        EDGE: 1 for the outermost nodes in y or z; SPEED2: xi_y^2 + xi_z^2; Y_FIRST, Y_LAST, Z_FIRST, Z_LAST: -1 where the
+        face above is the lowest or the highest one inside the box; Y_BEND, Z_BEND: -1/24 where the face above is inside the box;
         from Z_TAPS on: 1 where the nodes around the face above in z exist, from TAPS/2 below it to TAPS/2 above.
     nodes : (3, longest axis in whole vectors) array
         Nodes of each axis, zero behind its last one.
@@ -84,9 +84,8 @@ class VelocityGrid:
         slab[Y_LEAST, np.flatnonzero((j > 0) & (j < ny - 1))] = LEAST
         slab[Z_LEAST, np.flatnonzero((k > 0) & (k < nz - 1))] = LEAST
         slab[Y_OPEN, inner], slab[Z_OPEN, inner] = j < ny - 1, k < nz - 1
-        slab[Y_QUARTER, inner], slab[Z_QUARTER, inner] = (
-            0.25 * ((at > 0) & (at < count - 1)) for at, count in ((j, ny), (k, nz))
-        )
+        for row, there in ((Y_FIRST, j == 0), (Y_LAST, j == ny - 2), (Z_FIRST, k == 0), (Z_LAST, k == nz - 2)):
+            slab[row, inner] = np.where(there, -1.0, 0.0)
         slab[[Y_BEND, Z_BEND]] = slab[[Y_OPEN, Z_OPEN]] / -24.0
         outermost = ((ny > 1) & ((j == 0) | (j == ny - 1))) | ((nz > 1) & ((k == 0) | (k == nz - 1)))
         slab[EDGE, inner], slab[SPEED2, inner] = outermost, axes[1][j] ** 2 + axes[2][k] ** 2

@@ -4,7 +4,7 @@ What is reconstructed is not g, whose flank looks like a shock on a coarse grid,
 the cell's mean and temperature: a constant where the gas is in equilibrium. Along each axis, with a on a face F of the
 grid and k the node that it comes from:
 
-1. v = h_k + s_k on the face, s_k the monotonised central slope of h (`limiter.monotonised`);
+1. v on the face by the parabola through h_k and its two neighbours, bounded (`limiter.towards_face`);
 2. P = a M_F v, the product there to second order, exact where h is constant;
 3. the flux P - (P_+ - 2 P + P_-)/24: its difference over h is then a derivative of fourth order at the node;
 4. none beyond the share of what its donor has that this face may carry in the step: so g stays positive whatever it is.
@@ -27,15 +27,16 @@ from rvm_mpi.compiling.simd import (
     prefetch,
     splat,
     store,
+    where_above,
     where_negative,
     where_positive,
 )
-from rvm_mpi.grid.velocity import Y_BEND, Y_FACE, Y_OPEN, Y_QUARTER, Z_BEND, Z_FACE, Z_OPEN, Y, Z
+from rvm_mpi.grid.velocity import Y_BEND, Y_FACE, Y_FIRST, Y_LAST, Y_OPEN, Z_BEND, Z_FACE, Z_OPEN, Y, Z
 from rvm_mpi.kinetic.drift_speed import fastest_along, fastest_turning, guard_of
-from rvm_mpi.kinetic.limiter import monotonised
+from rvm_mpi.kinetic.limiter import towards_face
 
 #: rows of a slab that the work space holds
-ROWS = 19
+ROWS = 17
 #: numbers for each node along x
 FACTORS = 4
 #: of what a node has, the part that all its faces together may take away
@@ -44,6 +45,8 @@ SHARE = 0.999
 TURNED = 0.375
 #: exponents of 1/M stay below this, far inside the range of doubles
 HIGHEST = 600.0
+#: the exponent of what there is not
+NONE = -1e300
 
 
 @part
@@ -85,26 +88,34 @@ def on_axis(grid, drift, width, q):  # type: ignore[no-untyped-def]
 
 @part
 def make_factors(grid, axis, scratch, at):  # type: ignore[no-untyped-def]
-    """For each xi_x: M over its lower and over its upper neighbour, M on the upper and lower face over M; from `at` on.
+    """For each face in x, by the node below it: M there over M on the two nodes before and the two behind; from `at` on.
 
-    Zero beyond the last node.
+    Zero where there is no such node, and for the closed face of the last one.
     """
-    points_x, whole = grid.points[0], (grid.points[0] + 7) // 8 * 8
+    points_x, whole, x, x_face = grid.points[0], (grid.points[0] + 7) // 8 * 8, grid.x, grid.x_face
     centre, narrow, centre_face, narrow_face, ratio = axis
-    h = 1.0 / grid.per_spacing[0]
-    for n in range(0, whole, 8):
-        x = load(grid.nodes, n)
-        own = (x - centre) * (x - centre) * narrow
-        lower, upper = x - splat(centre + h), x - splat(centre - h)
-        below, above = x - splat(centre_face + 0.5 * h), x - splat(centre_face - 0.5 * h)
-        store(scratch, at + n, exponential(own - lower * lower * narrow))
-        store(scratch, at + whole + n, exponential(own - upper * upper * narrow))
-        store(scratch, at + 2 * whole + n, exponential(above * above * narrow_face - own) * ratio)
-        store(scratch, at + 3 * whole + n, exponential(below * below * narrow_face - own) * ratio)
-    for n in range(points_x, whole):
-        for row in range(FACTORS):
-            scratch[at + row * whole + n] = 0.0
+    for row in range(FACTORS):
+        for k in range(whole):
+            node, exponent = k + row - 1, NONE
+            if k < points_x - 1 and 0 <= node < points_x:
+                # from the nodes themselves: a mirrored gas has the same factors to the last bit
+                face, own = x_face[k] - centre_face, x[node] - centre
+                exponent = face * face * narrow_face - own * own * narrow
+            scratch[at + row * whole + k] = exponent
+        for n in range(at + row * whole, at + row * whole + whole, 8):
+            exponents = load(scratch, n)
+            store(scratch, n, where_above(exponents, splat(NONE), exponential(exponents) * ratio, splat(0.0)))
     return whole
+
+
+@part
+def product_on_face(speed, nodes, rises):  # type: ignore[no-untyped-def]
+    """a M_F v on a face from h of the nodes below and above it and its differences below, across and above."""
+    (lower, upper), (below, across, above) = nodes, rises
+    add = towards_face(where_negative(speed, above, below), across)
+    value = fma(add, where_negative(speed, splat(-0.125), splat(0.125)), where_negative(speed, upper, lower))
+    # + 0 makes +0 of -0, whose sign `through_face` would see
+    return fma(speed, value, splat(0.0))
 
 
 @part
@@ -139,20 +150,22 @@ def fluxes_in_slab(slab, bend, stride, along, share, rows, scratch):  # type: ig
     share : float
         What a face may carry, at most, of what its donor has, 1/time.
     rows : tuple of int
-        Where they begin in `scratch`: h, what nodes have, the two parts of M_F a/h, slopes, P, fluxes; their length.
+        Where they begin in `scratch`: h, what nodes have, the two parts of M_F a/h, differences, P, fluxes; their
+        length.
     """
-    relative, donors, turning, speeds, slope, product, through, size = rows
-    quarter = bend + (Y_QUARTER - Y_BEND) * size
-    zero = splat(0.0)  # added to P it makes +0 of -0, whose sign `through_face` would see
+    relative, donors, turning, speeds, rise, product, through, size = rows
+    # rows of z follow one another as those of y do
+    first = bend + (Y_FIRST - Y_BEND) * size
+    last = first + (Y_LAST - Y_FIRST) * size
     for n in range(0, size, 8):
-        h = load(scratch, relative + n)
-        fall, rise = h - load(scratch, relative + n - stride), load(scratch, relative + n + stride) - h
-        store(scratch, slope + n, monotonised(fall, rise, load(slab, quarter + n)))
+        store(scratch, rise + n, load(scratch, relative + n + stride) - load(scratch, relative + n))
     for n in range(0, size, 8):
         s = fma(load(scratch, turning + n), along, load(scratch, speeds + n))
-        left = load(scratch, relative + n) + load(scratch, slope + n)
-        right = load(scratch, relative + n + stride) - load(scratch, slope + n + stride)
-        store(scratch, product + n, fma(s, where_negative(s, right, left), zero))
+        across = load(scratch, rise + n)
+        below = where_negative(load(slab, first + n), across, load(scratch, rise + n - stride))
+        above = where_negative(load(slab, last + n), across, load(scratch, rise + n + stride))
+        nodes = load(scratch, relative + n), load(scratch, relative + n + stride)
+        store(scratch, product + n, product_on_face(s, nodes, (below, across, above)))
     for n in range(0, size, 8):
         products = (
             load(scratch, product + n - stride),
@@ -170,13 +183,12 @@ def update_maxwellian(g, cell, grid, drift, mix, scratch, result):  # type: igno
     slab_size, x, x_face, slab = grid.slab_size, grid.x, grid.x_face, grid.slab
     guard = guard_of(points_z)
     row = slab_size + 2 * guard
-    relative, slope, product, through_z = guard, row + guard, 2 * row + guard, 3 * row + guard
-    slope_next, slope_after = 4 * row + guard, 5 * row + guard
-    product_before, product_x, product_after = 6 * row + guard, 7 * row + guard, 8 * row + guard
-    through_x, through_y = 9 * row + guard, 10 * row + guard
-    inverse, turning_y, turning_z = 11 * row + guard, 12 * row + guard, 13 * row + guard
-    turns, speeds_y, speeds_z = 14 * row + guard, 15 * row + guard, 16 * row + guard
-    donors, donors_next = 17 * row + guard, 18 * row + guard
+    relative, rise, product, through_z = guard, row + guard, 2 * row + guard, 3 * row + guard
+    product_before, product_x, product_after = 4 * row + guard, 5 * row + guard, 6 * row + guard
+    through_x, through_y = 7 * row + guard, 8 * row + guard
+    inverse, turning_y, turning_z = 9 * row + guard, 10 * row + guard, 11 * row + guard
+    turns, speeds_y, speeds_z = 12 * row + guard, 13 * row + guard, 14 * row + guard
+    donors, donors_next = 15 * row + guard, 16 * row + guard
     factors = ROWS * row
     a, rising_x, falling_x = drift.own, drift.rising_x, drift.falling_x
     rising_y, falling_y = splat(drift.rising_y), splat(drift.falling_y)
@@ -195,7 +207,7 @@ def update_maxwellian(g, cell, grid, drift, mix, scratch, result):  # type: igno
         fastest_along(grid, drift, turning, 2),
     )
     fastest = most_x + most_y + most_z
-    lose = SHARE / (fastest * dt) if fastest * dt > 0.0 else 0.0
+    lose = SHARE / max(fastest * dt, 1e-200)
     share_x, share_y, share_z = most_x * lose, most_y * lose, most_z * lose
 
     # the Maxwellian, and the part of the faces' speeds over h that is the same for every xi_x
@@ -203,8 +215,6 @@ def update_maxwellian(g, cell, grid, drift, mix, scratch, result):  # type: igno
     whole = make_factors(grid, on_axis(grid, drift, width, 0), scratch, factors)
     node_y, narrow_y, face_y, narrow_face_y, ratio_y = on_axis(grid, drift, width, 1)
     node_z, narrow_z, face_z, narrow_face_z, ratio_z = on_axis(grid, drift, width, 2)
-    below_x, above_x = factors, factors + whole
-    up_x, down_x = factors + 2 * whole, factors + 3 * whole
     for n in range(0, slab_size, 8):
         y, yf = load(slab, Y * slab_size + n), load(slab, Y_FACE * slab_size + n)
         z, zf = load(slab, Z * slab_size + n), load(slab, Z_FACE * slab_size + n)
@@ -213,7 +223,7 @@ def update_maxwellian(g, cell, grid, drift, mix, scratch, result):  # type: igno
         turn = y * where_positive(y, rising_y, falling_y)
         store(scratch, inverse + n, exponential(zero - (log_y + log_z)))
         store(scratch, turns + n, turn)
-        store(scratch, product_before + n, zero)
+        store(scratch, product_x + n, zero)
         store(scratch, through_x + n, zero)
         # M on the face goes with the speed: it changes no sign
         if has_y:
@@ -226,32 +236,26 @@ def update_maxwellian(g, cell, grid, drift, mix, scratch, result):  # type: igno
             store(scratch, turning_z + n, across * zf)
             store(scratch, speeds_z + n, across * (splat(push_z) - zf * turn * per_z))
 
-    for k in range(-2, points_x):
-        # along x, two slabs ahead of the others: the slope there, P on the face below it; one ahead, what nodes have
+    for k in range(-1, points_x):
+        # along x, one slab ahead of the others: P on the face below it, and what nodes have
         base, at = cell + k * slab_size, k * slab_size
-        ahead = base + 2 * slab_size
-        quarter = splat(0.25 if 0 < k + 2 < points_x - 1 else 0.0)
-        lower, upper = splat(0.0), splat(0.0)
-        down, up = splat(0.0), splat(0.0)
+        first = splat(-1.0 if k + 1 == 0 else 1.0)
+        last = splat(-1.0 if k + 1 == points_x - 2 else 1.0)
+        f0, f1, f2, f3 = 0.0, 0.0, 0.0, 0.0
         sx0, sx1 = 0.0, 0.0
-        if k + 2 < points_x:
-            lower, upper = splat(-scratch[below_x + k + 2]), splat(scratch[above_x + k + 2])
-            down = splat(scratch[down_x + k + 2])
-        if -1 < k + 1 < points_x - 1:
-            xf = x_face[k + 1]
-            up = splat(scratch[up_x + k + 1])
+        if k + 1 < points_x - 1:
+            xf, face = x_face[k + 1], factors + k + 1
+            f0, f1 = scratch[face], scratch[face + whole]
+            f2, f3 = scratch[face + 2 * whole], scratch[face + 3 * whole]
             sx0 = push_x - per_x * (a + (rising_x if xf > 0.0 else falling_x) * xf) * xf
             sx1 = -per_x * xf
         for n in range(0, slab_size, 8):
-            c, before = load(g, ahead + n), load(g, ahead - slab_size + n)
-            fall = fma(lower, before, c)
-            rise = fma(upper, load(g, ahead + slab_size + n), zero - c)
-            bend = monotonised(fall, rise, quarter)
+            own, upper = load(g, base + slab_size + n) * f1, load(g, base + 2 * slab_size + n) * f2
+            across = upper - own
+            below = where_negative(first, across, own - load(g, base + n) * f0)
+            above = where_negative(last, across, load(g, base + 3 * slab_size + n) * f3 - upper)
             s = fma(load(scratch, turns + n), sx1, splat(sx0))
-            left = (before + load(scratch, slope_next + n)) * up
-            right = (c - bend) * down
-            store(scratch, slope_after + n, bend)
-            store(scratch, product_after + n, fma(s, where_negative(s, right, left), zero))
+            store(scratch, product_after + n, product_on_face(s, (own, upper), (below, across, above)))
         if -1 <= k < points_x - 1:
             for n in range(0, slab_size, 8):
                 has = fma(load(result, at + slab_size + n), dt, load(g, base + slab_size + n))
@@ -273,10 +277,10 @@ def update_maxwellian(g, cell, grid, drift, mix, scratch, result):  # type: igno
                 store(result, at + n, load(result, at + n) + (load(scratch, through_x + n) - f))
                 store(scratch, through_x + n, f)
             if has_y:
-                rows = (relative, donors, turning_y, speeds_y, slope, product, through_y, slab_size)
+                rows = (relative, donors, turning_y, speeds_y, rise, product, through_y, slab_size)
                 fluxes_in_slab(slab, Y_BEND * slab_size, points_z, -along * per_y, share_y, rows, scratch)
             if has_z:
-                rows = (relative, donors, turning_z, speeds_z, slope, product, through_z, slab_size)
+                rows = (relative, donors, turning_z, speeds_z, rise, product, through_z, slab_size)
                 fluxes_in_slab(slab, Z_BEND * slab_size, 1, -along * per_z, share_z, rows, scratch)
             for n in range(0, slab_size, 8):
                 change = load(result, at + n)
@@ -288,6 +292,5 @@ def update_maxwellian(g, cell, grid, drift, mix, scratch, result):  # type: igno
                 if mix_old:
                     value = fma(load(old, base + n), weight_old, value)
                 store(result, at + n, value)
-        slope_next, slope_after = slope_after, slope_next
         product_before, product_x, product_after = product_x, product_after, product_before
         donors, donors_next = donors_next, donors

@@ -5,7 +5,7 @@ import pytest
 
 from tests.verification.kinetic_cases import build, es_bgk, line, run
 
-CASES = (("van-leer", 1e-12), ("maxwellian", 1e-4))
+CASES = (("van-leer", 1e-12), ("maxwellian", 1e-9))
 FAR = {"x": "far-field", "y": "far-field"}
 
 
