@@ -88,7 +88,7 @@ def on_axis(grid, drift, width, q):  # type: ignore[no-untyped-def]
 
 @part
 def make_factors(grid, axis, scratch, at):  # type: ignore[no-untyped-def]
-    """For each face in x, by the node below it: M there over M on the two nodes before and the two behind; from `at` on.
+    """For each face in x, by the node below it: M there over M on two nodes before and two behind; from `at` on.
 
     Zero where there is no such node, and for the closed face of the last one.
     """
