@@ -44,7 +44,7 @@ class VelocityGrid:
         a node, 0 for padding; Y_LEAST, Z_LEAST: what the product of the differences to both neighbours must exceed for
         a slope, infinite where one is missing; Y_OPEN, Z_OPEN: 1 where the face above is inside the box;
         EDGE: 1 for the outermost nodes in y or z; SPEED2: xi_y^2 + xi_z^2; Y_FIRST, Y_LAST, Z_FIRST, Z_LAST: -1 where
-        the face above is the lowest or the highest one inside the box; Y_BEND, Z_BEND: -1/24 where it is inside the box;
+        the face above is the lowest or the highest one inside the box; Y_BEND, Z_BEND: -1/24 where it is inside;
         from Z_TAPS on: 1 where the nodes around the face above in z exist, from TAPS/2 below it to TAPS/2 above.
     nodes : (3, longest axis in whole vectors) array
         Nodes of each axis, zero behind its last one.
