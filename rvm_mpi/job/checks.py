@@ -71,6 +71,12 @@ def _check_choices(job: Job) -> None:
             )
         if job.collision.method == "fast":
             raise KeyProblem("collision.method", "not in this version", "fast", '"direct"')
+    if kind == "thermal" and job.scheme.drift != "maxwellian":
+        raise KeyProblem(
+            "scheme.drift", 'not used with scaling.kind = "thermal"', job.scheme.drift, '"maxwellian", the default'
+        )
+    if kind == "thermal" and not job.scheme.conservative:
+        raise KeyProblem("scheme.conservative", "the thermal scaling needs the correction of the moments", False, "true")
     if kind == "kinetic" and not job.scheme.conservative and job.space.dimensions > 0:
         raise KeyProblem(
             "scheme.conservative",

@@ -158,10 +158,10 @@ def _rate_or_auto(value: Any) -> Any:
 
 
 class Scaling(Section):
-    """How velocity space is rescaled, v = omega xi."""
+    """How velocity space is rescaled, v = omega xi, or v = u + omega xi in the thermal scaling."""
 
-    kind: Literal["none", "macroscopic", "kinetic"] = Field(
-        default="kinetic", description='"none" | "macroscopic" | "kinetic"'
+    kind: Literal["none", "macroscopic", "kinetic", "thermal"] = Field(
+        default="kinetic", description='"none" | "macroscopic" | "kinetic" | "thermal"'
     )
     synchronise: Annotated[float | Literal["auto"], PlainValidator(_rate_or_auto)] = Field(
         default=0.0, description='a rate >= 0 or "auto", other than 0 with scaling.kind = "macroscopic" only'

@@ -1,7 +1,9 @@
 """div_xi (a g): the total drift in velocity space, and the update of a cell's block by all explicit terms.
 
 a(xi) = - (A + xi_x . grad omega) xi + beta u, where A = d_t omega / omega + beta holds the scaling's own rate and the
-drag's, so that the two cancel as numbers before anything is upwinded. The faces at the edge of the box are closed.
+drag's, so that the two cancel as numbers before anything is upwinded. Where velocities are counted from the gas's mean
+(the thermal scaling), v/omega = xi_x + m stands for xi_x there, m = u/omega, and a has - (xi_x + m) . grad u besides.
+The faces at the edge of the box are closed.
 
 How g is reconstructed on the faces is one of three files' matter: relative to the cell's Maxwellian
 (`drift_maxwellian.py`), by Van Leer's limiter (`drift_van_leer.py`), or by linear differences (`drift_linear.py`).
@@ -28,12 +30,18 @@ RECONSTRUCTIONS = {"maxwellian": MAXWELLIAN, "van-leer": VAN_LEER, **dict.fromke
 KEEP_POSITIVE = ("maxwellian", "van-leer", *POSITIVE)
 
 
+Vector = tuple[float, float, float]
+Shears = tuple[Vector, Vector, Vector, Vector]
+
+
 class Drift(NamedTuple):
-    """a(xi) = -(own + xi . gradient) xi + push of a cell, and the Maxwellian that g is near there.
+    """a(xi) = push - own xi - sum over directions s of (xi_s + flow_s) (shear_s + rise_s xi), and what g is near there.
 
     own is A = d_t omega/omega and the drag's rate together; rising and falling are d omega/dx and d omega/dy as
-    velocities that go up and down along that direction see it; push is beta u/omega; centre and temperature are the
-    mean and the temperature of g.
+    velocities that go up and down along that direction see it; push is beta u/omega, or -d_t u/omega where velocities
+    are counted from u. Then flow is u/omega, and shears (x rising, x falling, y rising, y falling) are the gradients of
+    u; else these are zero. centre and temperature are the mean and the temperature of g, fastest is max|a|/h along each
+    axis.
     """
 
     own: float
@@ -44,6 +52,9 @@ class Drift(NamedTuple):
     push: tuple[float, float, float]
     centre: tuple[float, float, float]
     temperature: float
+    flow: tuple[float, float]
+    shears: Shears
+    fastest: tuple[float, float, float]
 
 
 class Mix(NamedTuple):

@@ -88,7 +88,8 @@ def update_linear(g, cell, grid, drift, mix, scratch, result):  # type: ignore[n
     push_x, push_y, push_z = drift.push[0] * per_x, drift.push[1] * per_y, drift.push[2] * per_z
     old, weight_old, weight_new, dt = mix.old, mix.weight_old, mix.weight_new, mix.dt
     half_width = grid.half_width
-    most = fastest_turning(drift, half_width)
+    rises = (drift.rising_x, drift.falling_x, drift.rising_y, drift.falling_y)
+    most = fastest_turning(drift.own, rises, half_width)
     most_x = most_outflow(most * half_width[0] * per_x + abs(push_x), most)
     most_y = most_outflow(most * half_width[1] * per_y + abs(push_y), most)
     most_z = most_outflow(most * half_width[2] * per_z + abs(push_z), most)

@@ -32,11 +32,11 @@ from rvm_mpi.compiling.simd import (
     where_positive,
 )
 from rvm_mpi.grid.velocity import Y_BEND, Y_FACE, Y_FIRST, Y_LAST, Y_OPEN, Z_BEND, Z_FACE, Z_OPEN, Y, Z
-from rvm_mpi.kinetic.drift_speed import fastest_along, fastest_turning, guard_of
+from rvm_mpi.kinetic.drift_speed import guard_of
 from rvm_mpi.kinetic.limiter import towards_face
 
 #: rows of a slab that the work space holds
-ROWS = 17
+ROWS = 20
 #: numbers for each node along x
 FACTORS = 4
 #: of what a node has, the part that all its faces together may take away
@@ -145,22 +145,23 @@ def fluxes_in_slab(slab, bend, stride, along, share, rows, scratch):  # type: ig
         The grid's, and where its row Y_BEND or Z_BEND begins.
     stride : int
         From a node to the next.
-    along : float
-        The part of the speed that belongs to this xi_x.
+    along : tuple of float
+        The parts of the speed that belong to this xi_x: of the axis' own velocity free, and times it.
     share : float
         What a face may carry, at most, of what its donor has, 1/time.
     rows : tuple of int
-        Where they begin in `scratch`: h, what nodes have, the two parts of M_F a/h, differences, P, fluxes; their
+        Where they begin in `scratch`: h, what nodes have, the three parts of M_F a/h, differences, P, fluxes; their
         length.
     """
-    relative, donors, turning, speeds, rise, product, through, size = rows
+    relative, donors, (faces, turning, speeds), rise, product, through, size = rows
     # rows of z follow one another as those of y do
     first = bend + (Y_FIRST - Y_BEND) * size
     last = first + (Y_LAST - Y_FIRST) * size
     for n in range(0, size, 8):
         store(scratch, rise + n, load(scratch, relative + n + stride) - load(scratch, relative + n))
     for n in range(0, size, 8):
-        s = fma(load(scratch, turning + n), along, load(scratch, speeds + n))
+        s = fma(load(scratch, turning + n), along[1], load(scratch, speeds + n))
+        s = fma(load(scratch, faces + n), along[0], s)
         across = load(scratch, rise + n)
         below = where_negative(load(slab, first + n), across, load(scratch, rise + n - stride))
         above = where_negative(load(slab, last + n), across, load(scratch, rise + n + stride))
@@ -183,29 +184,26 @@ def update_maxwellian(g, cell, grid, drift, mix, scratch, result):  # type: igno
     slab_size, x, x_face, slab = grid.slab_size, grid.x, grid.x_face, grid.slab
     guard = guard_of(points_z)
     row = slab_size + 2 * guard
-    relative, rise, product, through_z = guard, row + guard, 2 * row + guard, 3 * row + guard
+    relative, rises, product, through_z = guard, row + guard, 2 * row + guard, 3 * row + guard
     product_before, product_x, product_after = 4 * row + guard, 5 * row + guard, 6 * row + guard
     through_x, through_y = 7 * row + guard, 8 * row + guard
     inverse, turning_y, turning_z = 9 * row + guard, 10 * row + guard, 11 * row + guard
     turns, speeds_y, speeds_z = 12 * row + guard, 13 * row + guard, 14 * row + guard
     donors, donors_next = 15 * row + guard, 16 * row + guard
+    across_x, faces_y, faces_z = 17 * row + guard, 18 * row + guard, 19 * row + guard
     factors = ROWS * row
     a, rising_x, falling_x = drift.own, drift.rising_x, drift.falling_x
     rising_y, falling_y = splat(drift.rising_y), splat(drift.falling_y)
     per_x, per_y, per_z = grid.per_spacing
     push_x, push_y, push_z = drift.push[0] * per_x, drift.push[1] * per_y, drift.push[2] * per_z
+    (flow_x, flow_y), (up_x, down_x, up_y, down_y) = drift.flow, drift.shears
     old, weight_old, weight_new, dt = mix.old, mix.weight_old, mix.weight_new, mix.dt
     has_y, has_z = points_y > 1, points_z > 1
     mix_old = weight_old != 0.0
     zero = splat(0.0)
 
     # what a face of each direction may carry, at most, of what its donor has
-    turning = fastest_turning(drift, grid.half_width)
-    most_x, most_y, most_z = (
-        fastest_along(grid, drift, turning, 0),
-        fastest_along(grid, drift, turning, 1),
-        fastest_along(grid, drift, turning, 2),
-    )
+    most_x, most_y, most_z = drift.fastest
     fastest = most_x + most_y + most_z
     lose = SHARE / max(fastest * dt, 1e-200)
     share_x, share_y, share_z = most_x * lose, most_y * lose, most_z * lose
@@ -220,7 +218,9 @@ def update_maxwellian(g, cell, grid, drift, mix, scratch, result):  # type: igno
         z, zf = load(slab, Z * slab_size + n), load(slab, Z_FACE * slab_size + n)
         log_y, log_z = (y - node_y) * (y - node_y) * narrow_y, (z - node_z) * (z - node_z) * narrow_z
         open_y, open_z = load(slab, Y_OPEN * slab_size + n), load(slab, Z_OPEN * slab_size + n)
-        turn = y * where_positive(y, rising_y, falling_y)
+        speed_y = y + flow_y
+        turn = speed_y * where_positive(speed_y, rising_y, falling_y)
+        store(scratch, across_x + n, speed_y * where_positive(speed_y, splat(up_y[0]), splat(down_y[0])) * -per_x)
         store(scratch, inverse + n, exponential(zero - (log_y + log_z)))
         store(scratch, turns + n, turn)
         store(scratch, product_x + n, zero)
@@ -228,13 +228,18 @@ def update_maxwellian(g, cell, grid, drift, mix, scratch, result):  # type: igno
         # M on the face goes with the speed: it changes no sign
         if has_y:
             across = exponential((yf - face_y) * (yf - face_y) * narrow_face_y + log_z) * (open_y * ratio_y)
-            turn_yf = yf * yf * where_positive(yf, rising_y, falling_y)
+            speed_yf = yf + flow_y
+            rise_yf = where_positive(speed_yf, rising_y, falling_y) * yf
+            turn_yf = speed_yf * (rise_yf + where_positive(speed_yf, splat(up_y[1]), splat(down_y[1])))
+            store(scratch, faces_y + n, across)
             store(scratch, turning_y + n, across * yf)
             store(scratch, speeds_y + n, across * (splat(push_y) - turn_yf * per_y))
         if has_z:
             across = exponential((zf - face_z) * (zf - face_z) * narrow_face_z + log_y) * (open_z * ratio_z)
+            shear = speed_y * where_positive(speed_y, splat(up_y[2]), splat(down_y[2]))
+            store(scratch, faces_z + n, across)
             store(scratch, turning_z + n, across * zf)
-            store(scratch, speeds_z + n, across * (splat(push_z) - zf * turn * per_z))
+            store(scratch, speeds_z + n, across * (splat(push_z) - (zf * turn + shear) * per_z))
 
     for k in range(-1, points_x):
         # along x, one slab ahead of the others: P on the face below it, and what nodes have
@@ -247,21 +252,26 @@ def update_maxwellian(g, cell, grid, drift, mix, scratch, result):  # type: igno
             xf, face = x_face[k + 1], factors + k + 1
             f0, f1 = scratch[face], scratch[face + whole]
             f2, f3 = scratch[face + 2 * whole], scratch[face + 3 * whole]
-            sx0 = push_x - per_x * (a + (rising_x if xf > 0.0 else falling_x) * xf) * xf
+            speed = xf + flow_x
+            shear = up_x if speed > 0.0 else down_x
+            rise = rising_x if speed > 0.0 else falling_x
+            sx0 = push_x - per_x * ((a + rise * speed) * xf + shear[0] * speed)
             sx1 = -per_x * xf
         for n in range(0, slab_size, 8):
             own, upper = load(g, base + slab_size + n) * f1, load(g, base + 2 * slab_size + n) * f2
             across = upper - own
             below = where_negative(first, across, own - load(g, base + n) * f0)
             above = where_negative(last, across, load(g, base + 3 * slab_size + n) * f3 - upper)
-            s = fma(load(scratch, turns + n), sx1, splat(sx0))
+            s = fma(load(scratch, turns + n), sx1, load(scratch, across_x + n) + sx0)
             store(scratch, product_after + n, product_on_face(s, (own, upper), (below, across, above)))
         if -1 <= k < points_x - 1:
             for n in range(0, slab_size, 8):
                 has = fma(load(result, at + slab_size + n), dt, load(g, base + slab_size + n))
                 store(scratch, donors_next + n, maximum(has, zero))
         if k >= 0:
-            along = a + (rising_x if x[k] > 0.0 else falling_x) * x[k]
+            speed = x[k] + flow_x
+            shear = up_x if speed > 0.0 else down_x
+            along = a + (rising_x if speed > 0.0 else falling_x) * speed
             for n in range(0, slab_size, 8):
                 prefetch(old, base + 2 * slab_size + n)
                 store(scratch, relative + n, load(g, base + n) * load(scratch, inverse + n))
@@ -277,11 +287,13 @@ def update_maxwellian(g, cell, grid, drift, mix, scratch, result):  # type: igno
                 store(result, at + n, load(result, at + n) + (load(scratch, through_x + n) - f))
                 store(scratch, through_x + n, f)
             if has_y:
-                rows = (relative, donors, turning_y, speeds_y, rise, product, through_y, slab_size)
-                fluxes_in_slab(slab, Y_BEND * slab_size, points_z, -along * per_y, share_y, rows, scratch)
+                rows = (relative, donors, (faces_y, turning_y, speeds_y), rises, product, through_y, slab_size)
+                speeds = (-shear[1] * speed * per_y, -along * per_y)
+                fluxes_in_slab(slab, Y_BEND * slab_size, points_z, speeds, share_y, rows, scratch)
             if has_z:
-                rows = (relative, donors, turning_z, speeds_z, rise, product, through_z, slab_size)
-                fluxes_in_slab(slab, Z_BEND * slab_size, 1, -along * per_z, share_z, rows, scratch)
+                rows = (relative, donors, (faces_z, turning_z, speeds_z), rises, product, through_z, slab_size)
+                speeds = (-shear[2] * speed * per_z, -along * per_z)
+                fluxes_in_slab(slab, Z_BEND * slab_size, 1, speeds, share_z, rows, scratch)
             for n in range(0, slab_size, 8):
                 change = load(result, at + n)
                 if has_y:

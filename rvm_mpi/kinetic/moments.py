@@ -52,14 +52,15 @@ def tensor_from_sums(sums: np.ndarray, d: int) -> tuple[np.ndarray, np.ndarray, 
 
 
 def fields(
-    g: np.ndarray, omega: np.ndarray, sums: np.ndarray, space: Any, grid: Any
+    g: np.ndarray, frames: tuple[np.ndarray, np.ndarray], sums: np.ndarray, space: Any, grid: Any
 ) -> dict[str, np.ndarray]:
     """Density, velocity, temperature, stress tensors and heat flux of f on the cells of a rank.
 
     Parameters
     ----------
     g : ghosted blocks (ny + 2 wy, nx + 2 wx, block)
-    omega : (ny, nx) array
+    frames : tuple of (ny, nx) array, (ny, nx, 3) array
+        omega, and the velocity that xi is counted from.
     sums : (ny, nx, 10) array
         Sums of g over the nodes (`data.Cells`).
 
@@ -70,14 +71,14 @@ def fields(
         pressure_tensor (ny, nx, d, d) = int c c^T f dv = density x stress, and heat_flux (ny, nx, d) =
         1/2 int c |c|^2 f dv; c = v - velocity.
     """
-    d = grid.dimensions
+    d, (omega, counted_from) = grid.dimensions, frames
     density, mean, tensor = tensor_from_sums(sums, d)
     third = sums_about(g, space, grid, sums[..., 1:4] / density[..., None])[..., 10:13]
     w = omega[..., None]
     stress = w[..., None] ** 2 * tensor
     return {
         "density": density * grid.weight,
-        "velocity": w * mean,
+        "velocity": counted_from[..., :d] + w * mean,
         "temperature": omega**2 * np.trace(tensor, axis1=-2, axis2=-1) / d,
         "stress": stress,
         "pressure_tensor": (density * grid.weight)[..., None, None] * stress,

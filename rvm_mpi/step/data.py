@@ -72,7 +72,10 @@ class Grid(NamedTuple):
 
 
 class Space(NamedTuple):
-    """The cells of a rank: counts, ghost widths of g, 1/dx and 1/dy, 0 in an unused direction."""
+    """The cells of a rank: counts, ghost widths of g, 1/dx and 1/dy, 0 in an unused direction.
+
+    stops: which of its sides (x lower and upper, y lower and upper) are physical and no mirrors.
+    """
 
     dimensions: int
     nx: int
@@ -81,6 +84,7 @@ class Space(NamedTuple):
     wy: int
     per_dx: float
     per_dy: float
+    stops: tuple[bool, bool, bool, bool] = (False, False, False, False)
 
 
 class Model(NamedTuple):
@@ -90,6 +94,8 @@ class Model(NamedTuple):
     ----------
     kinetic : bool
         Whether omega follows the carried moments.
+    thermal : bool
+        Whether it is the thermal speed, and velocities are counted from the gas's mean.
     conservative : bool
         Whether g is corrected to them.
     carried : bool
@@ -106,6 +112,7 @@ class Model(NamedTuple):
     """
 
     kinetic: bool
+    thermal: bool
     conservative: bool
     carried: bool
     relaxes: bool
@@ -129,8 +136,9 @@ def physics(job: Job) -> Model:
     collisions = bool(collision.penalise) or (law is not None and knudsen is not None)
     return Model(
         kinetic=job.scaling.kind == "kinetic",
+        thermal=job.scaling.kind == "thermal",
         conservative=bool(job.scheme.conservative),
-        carried=job.scaling.kind == "kinetic" or bool(job.scheme.conservative),
+        carried=job.scaling.kind in ("kinetic", "thermal") or bool(job.scheme.conservative),
         relaxes=collisions,
         explicit=collision.explicit,
         nu=1.0 - 1.0 / prandtl if collisions and prandtl is not None else 0.0,
@@ -145,11 +153,13 @@ def physics(job: Job) -> Model:
 class Cells(NamedTuple):
     """Fields of the cells at one time level: what a stage reads, and what it writes of the next.
 
-    omega has two ghost cells in each direction in use; carried (ny, nx, 5) are rho, rho u, E of f; sums
+    omega and mean (..., 3), the velocity that xi is counted from, zero but in the thermal scaling, have two ghost cells
+    in each direction in use; carried (ny, nx, 5) are rho, rho u, E of f; sums
     (ny, nx, 10) those of 1, xi, xi xi over g's nodes.
     """
 
     omega: np.ndarray
+    mean: np.ndarray
     carried: np.ndarray
     sums: np.ndarray
 
@@ -158,7 +168,7 @@ class Cells(NamedTuple):
         """Room for the cells of a rank."""
         nx, ny = space.nx, space.ny
         omega = np.ones((ny + 2 * space.wy, nx + 2 * space.wx))
-        return cls(omega, np.zeros((ny, nx, 5)), np.zeros((ny, nx, 10)))
+        return cls(omega, np.zeros((*omega.shape, 3)), np.zeros((ny, nx, 5)), np.zeros((ny, nx, 10)))
 
 
 class Sides(NamedTuple):
@@ -197,6 +207,8 @@ class Fields(NamedTuple):
         At t^n; of `g`; receives what belongs to `out` (interior of omega, carried, sums).
     growth, omega_end : (ny, nx) arrays
         ln(omega^(n+1)/omega^n)/dt and omega^(n+1), where the scaling does not follow from the kinetic moments.
+    turned : (ny, nx, 4) array
+        What the stages before the last have turned the thermal scaling's frame by, over dt.
     depth : (ny, nx) array
         Relaxation depth dt tau/eps, averaged over the step; the first stage writes it. Under an explicit operator it is
         given: that of the penalisation.
@@ -214,6 +226,7 @@ class Fields(NamedTuple):
     new: Cells
     growth: np.ndarray
     omega_end: np.ndarray
+    turned: np.ndarray
     depth: np.ndarray
     source: np.ndarray
     heating: np.ndarray

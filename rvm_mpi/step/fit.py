@@ -34,7 +34,8 @@ class Scaled:
     Attributes
     ----------
     omega : (ny, nx) array
-        sqrt(T + |u|^2/d), the scaling of a cell at the start; one where nothing is rescaled.
+        sqrt(T + |u|^2/d), the scaling of a cell at the start, sqrt(T) where velocities are counted from the mean; one
+        where nothing is rescaled.
     mean : (ny, nx, 3) array
         Mean of xi; zero in directions not in use.
     tensor : (ny, nx, 6) array
@@ -53,10 +54,12 @@ def scaled(job: Job, velocity: np.ndarray, tensor: np.ndarray, unit: float = 1.0
     """
     d = job.velocity.dimensions
     cells = velocity.shape[:2]
-    energy = np.trace(tensor, axis1=-2, axis2=-1) + np.sum(velocity**2, axis=-1)
+    thermal = job.scaling.kind == "thermal"
+    energy = np.trace(tensor, axis1=-2, axis2=-1) + (0.0 if thermal else np.sum(velocity**2, axis=-1))
     omega = np.sqrt(energy / d) if job.scaling.kind != "none" else np.full(cells, unit)
     mean, packed = np.zeros((*cells, 3)), np.zeros((*cells, 6))
-    mean[..., :d] = velocity / omega[..., None]
+    if not thermal:
+        mean[..., :d] = velocity / omega[..., None]
     for place, (a, b) in enumerate([(0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)]):
         if b < d:
             packed[..., place] = tensor[..., a, b] / omega**2

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from rvm_mpi.kinetic.walls import KINDS, Side, fill_side
+from rvm_mpi.kinetic.walls_thermal import fill_moving_side
 
 if TYPE_CHECKING:
     from rvm_mpi.grid.domain import Domain
@@ -16,6 +17,11 @@ if TYPE_CHECKING:
 #: ghost cells of g: a face's value reaches two cells
 GHOSTS = 2
 SIDES = ("x-lower", "x-upper", "y-lower", "y-upper")
+
+
+def mirrors(boundary: Any) -> bool:
+    """Whether a side is a wall that mirrors all that arrives."""
+    return bool(boundary.kind == "specular" or (boundary.kind == "maxwell" and boundary.accommodation == 0.0))
 
 
 class GhostCells:
@@ -61,6 +67,11 @@ class GhostCells:
         """Fill them, and note in `sides.beyond` what no ghost cell can say; collective."""
         self.domain.exchange(g, GHOSTS)
         self.domain.exchange(cells.omega[..., None], GHOSTS)
+        if self.model.thermal:
+            self.domain.exchange(cells.mean, GHOSTS)
+            for name, states in self.states.items():
+                self._fill_moving(g, cells, name, states)
+            return
         for name, states in self.states.items():
             axis, lower = "xy".index(name[0]), name.endswith("lower")
             side = self._side(name)
@@ -69,6 +80,22 @@ class GhostCells:
             sums = np.ascontiguousarray(cells.sums[:, last] if axis == 0 else cells.sums[last])
             beyond = sides.of(SIDES.index(name))[1]
             fill_side(g.reshape(-1), side, states, omega, sums, self.grid, self._work, beyond)
+
+    def _fill_moving(self, g: np.ndarray, cells: Cells, name: str, states: np.ndarray) -> None:
+        """Ghost cells beyond a side in the thermal scaling, and their frames."""
+        axis, lower = "xy".index(name[0]), name.endswith("lower")
+        space, side = self.space, self._side(name)
+        along = np.s_[space.wy : space.wy + space.ny] if axis == 0 else np.s_[space.wx : space.wx + space.nx]
+        omega, mean = (np.moveaxis(field, 1 - axis, 0)[:, along] for field in (cells.omega, cells.mean))
+        near, far, edge, next_one = (1, 0, 2, 3) if lower else (-2, -1, -3, -4)
+        inner = np.concatenate([mean[edge], omega[edge][:, None]], axis=-1)
+        frames = np.empty_like(inner)
+        fill_moving_side(g.reshape(-1), side, states, inner, frames, self.grid, self._work)
+        mean[near], omega[near] = frames[:, :3], frames[:, 3]
+        mean[far], omega[far] = mean[near], omega[near]
+        if side.kind == KINDS["specular"]:
+            mean[far], omega[far] = mean[next_one], omega[next_one]
+            mean[far, :, axis] *= -1.0
 
     def _fill_omega(self, field: np.ndarray, axis: int, lower: bool, mirrored: bool) -> np.ndarray:
         """Fill omega beyond a side, so that on the face it is that of the inner cell; returns the inner cells'.
@@ -95,9 +122,7 @@ class GhostCells:
         row = block * (space.nx + 2 * space.wx)
         first = space.wy * row + space.wx * block
         boundary = self.job.space.sides[name]
-        kind, accommodation = boundary.kind, boundary.accommodation
-        if kind == "maxwell" and accommodation == 0.0:
-            kind = "specular"
+        kind, accommodation = "specular" if mirrors(boundary) else boundary.kind, boundary.accommodation
         return Side(
             inner=first if lower else first + ((space.nx - 1) * block if axis == 0 else (space.ny - 1) * row),
             along=(row, block)[axis],

@@ -107,6 +107,9 @@ def sums_to_have(grid, model, weights, lacking, carried, omega, first, work):  #
     if model.conservative:
         weight = grid.weight
         wanted[0] = carried[0] / weight
+        if model.thermal:
+            wanted[1], wanted[2], wanted[3], wanted[4] = 0.0, 0.0, 0.0, 0.5 * grid.dimensions * wanted[0]
+            return
         for q in range(1, 4):
             wanted[q] = carried[q] / (weight * omega)
         wanted[4] = carried[4] / (weight * omega * omega)

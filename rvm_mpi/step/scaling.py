@@ -59,21 +59,33 @@ def frame_drift(grid, space, upwind, omega, cell, own, state):  # type: ignore[n
     y, x, (beta, mean, temperature) = cell.y, cell.x, state
     w0, w1, e0, e1 = omega_across(upwind, omega, y, x, 0, 1 if space.dimensions >= 1 else 0)
     s0, s1, n0, n1 = omega_across(upwind, omega, y, x, 1 if space.dimensions == 2 else 0, 0)
+    half_width = grid.half_width
+    rises = (
+        (e0 - w0) * space.per_dx,
+        (e1 - w1) * space.per_dx,
+        (n0 - s0) * space.per_dy,
+        (n1 - s1) * space.per_dy,
+    )
+    push, nothing = (beta * mean[0], beta * mean[1], beta * mean[2]), (0.0, 0.0, 0.0)
+    turning = fastest_turning(own, rises, half_width)
+    fastest = (
+        fastest_along(grid, push[0], turning, 0),
+        fastest_along(grid, push[1], turning, 1),
+        fastest_along(grid, push[2], turning, 2),
+    )
     drift = Drift(
         own=own,
-        rising_x=(e0 - w0) * space.per_dx,
-        falling_x=(e1 - w1) * space.per_dx,
-        rising_y=(n0 - s0) * space.per_dy,
-        falling_y=(n1 - s1) * space.per_dy,
-        push=(beta * mean[0], beta * mean[1], beta * mean[2]),
+        rising_x=rises[0],
+        falling_x=rises[1],
+        rising_y=rises[2],
+        falling_y=rises[3],
+        push=push,
         centre=mean,
         temperature=temperature,
+        flow=(0.0, 0.0),
+        shears=(nothing, nothing, nothing, nothing),
+        fastest=fastest,
     )
-    half_width = grid.half_width
     crossing = max(w0, w1, e0, e1) * half_width[0] * space.per_dx
     crossing += max(s0, s1, n0, n1) * half_width[1] * space.per_dy
-    turning = fastest_turning(drift, half_width)
-    drifting = 0.0
-    for q in range(grid.dimensions):
-        drifting += fastest_along(grid, drift, turning, q)
-    return drift, crossing, drifting
+    return drift, crossing, fastest[0] + fastest[1] + fastest[2]

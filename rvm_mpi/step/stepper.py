@@ -34,7 +34,7 @@ from rvm_mpi.step.data import (
     work_space,
 )
 from rvm_mpi.step.failure import fail, first_cell
-from rvm_mpi.step.ghosts import GHOSTS, SIDES, GhostCells
+from rvm_mpi.step.ghosts import GHOSTS, SIDES, GhostCells, mirrors
 from rvm_mpi.step.initial import Sampler, fill_gaussians
 from rvm_mpi.step.relaxation import DEEPEST
 from rvm_mpi.step.scheme import Stage
@@ -137,12 +137,16 @@ class KineticStepper:
         wy, wx = domain.ghosts(GHOSTS)
         nx, ny = domain.local
         per = [1.0 / h if q < domain.dimensions else 0.0 for q, h in enumerate(domain.spacing)]
-        self.space = Space(domain.dimensions, nx, ny, wx, wy, per[0], per[1])
+        stops = tuple(
+            domain.on_side(name) and not mirrors(job.space.sides[name]) for name in SIDES
+        )
+        self.space = Space(domain.dimensions, nx, ny, wx, wy, per[0], per[1], stops)
         self._buffer = work_space(self.grid, nx)
         self.work = lay_out.py_func(self.grid, nx, self._buffer)[0]
         copies = max(2, len(integrator))
         self.g, *self._others = (domain.empty(GHOSTS, self.grid.block, self.grid.guard) for _ in range(copies))
         self.now, *self._levels = (Cells.create(self.space) for _ in range(copies + 1))
+        self._turned = np.zeros((ny, nx, 4))
         self._growth, self._depth = np.zeros((ny, nx)), np.zeros((ny, nx))
         self._omega_end = np.ones((ny, nx))
         self.report = np.zeros((ny, nx), dtype=REPORT)
@@ -175,6 +179,8 @@ class KineticStepper:
         nx, ny = self.domain.local
         g = self.g[wy : wy + ny, wx : wx + nx]
         cells = {"omega": self.inside(self.now.omega), "sums": self.now.sums}
+        if self.model.thermal:
+            cells["mean"] = self.inside(self.now.mean)
         if self.model.carried:
             cells["carried"] = self.now.carried
         return g, cells, {name: self._through[SIDES.index(name)] for name in self._ghosts.states}
@@ -193,6 +199,8 @@ class KineticStepper:
         state = fit.scaled(self.job, velocity, tensor, self.units.velocity)
         self.inside(self.now.omega)[...] = state.omega
         self._omega_end[...] = state.omega
+        if self.model.thermal:
+            self.inside(self.now.mean)[..., :d] = velocity
         status = np.zeros(density.shape, dtype=np.int64)
         sums = density / grid.weight
         fill_gaussians(
@@ -338,6 +346,7 @@ class KineticStepper:
             new=new,
             growth=self._growth,
             omega_end=self._omega_end,
+            turned=self._turned,
             depth=self._depth,
             source=self._source.reshape(-1),
             heating=self._heating,
@@ -380,7 +389,8 @@ class KineticStepper:
 
     def fields(self) -> dict[str, np.ndarray]:
         """Moments of f on this rank's cells (`moments.fields`)."""
-        return fields(self.g, self.inside(self.now.omega), self.now.sums, self.space, self.grid)
+        frames = self.inside(self.now.omega), self.inside(self.now.mean)
+        return fields(self.g, frames, self.now.sums, self.space, self.grid)
 
     def macroscopic(self) -> tuple[np.ndarray, np.ndarray]:
         """rho, rho u, E (ny, nx, 5) of f and its temperature (ny, nx): as carried, else from the sums of g."""

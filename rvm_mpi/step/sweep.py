@@ -14,7 +14,8 @@ from rvm_mpi.grid.velocity import EDGE, SPEED2, VALID
 from rvm_mpi.kinetic.drift import Mix
 from rvm_mpi.kinetic.realisable import REPLACED, TOO_COLD
 from rvm_mpi.kinetic.transport import UpperFaces, upper_fluxes
-from rvm_mpi.step.carried import carry, mean_drag, net_rates, state_of, step_cooling
+from rvm_mpi.kinetic.transport_thermal import MovingFaces, moving_fluxes
+from rvm_mpi.step.carried import carry, mean_drag, net_rates, state_of, step_cooling, thermal_energy
 from rvm_mpi.step.data import (
     HEALTHY,
     NO_CORRECTION,
@@ -29,6 +30,7 @@ from rvm_mpi.step.explicit import drift_substeps, explicit_part
 from rvm_mpi.step.relaxation import correct_signed, mean_depth, relax, sums_to_have
 from rvm_mpi.step.scaling import face_omega, frame_drift
 from rvm_mpi.step.scheme import Weights, weights
+from rvm_mpi.step.thermal import face_frames, frame_rates, is_side, plain, speed_of, thermal_drift
 
 
 @part
@@ -37,6 +39,42 @@ def cross(grid, space, model, fields, cell, work):  # type: ignore[no-untyped-de
 
     A ghost cell's moments are left where the cell beyond the face looks for those of its lower face.
     """
+    if model.thermal:
+        cross_moving(grid, space, fields, cell, work)
+    else:
+        cross_scaled(grid, space, model, fields, cell, work)
+    moments = work.moments
+    for q in range(5):
+        if cell.j < 0:
+            moments.south[cell.i, q] = moments.north[q]
+        elif cell.i < 0:
+            moments.west[q] = moments.east[q]
+
+
+@part
+def cross_moving(grid, space, fields, cell, work):  # type: ignore[no-untyped-def]
+    """The fluxes where each cell has a frame of its own."""
+    j, i, y, x = cell.j, cell.i, cell.y, cell.x
+    moments, strips = work.moments, work.strips
+    along_x, along_y, per_dx, per_dy = 0, 0, 0.0, 0.0
+    own = plain(fields.begin.omega, fields.begin.mean, (y, x))
+    east, north, side_x, side_y = (own, own), (own, own), False, False
+    if space.dimensions >= 1 and j >= 0:
+        east, side_x = face_frames(space, fields.begin, y, x, 0, 1), is_side(space, y, x, 0)
+        along_x, per_dx = grid.block, space.per_dx
+    if space.dimensions == 2 and i >= 0:
+        north, side_y = face_frames(space, fields.begin, y, x, 1, 0), is_side(space, y, x, 1)
+        along_y, per_dy = (space.nx + 2 * space.wx) * grid.block, space.per_dy
+    enters = (side_x and i < 0, side_x and i >= 0, side_y and j < 0, side_y and j >= 0)
+    upper = MovingFaces(along_x, along_y, per_dx, per_dy, (east[0], east[1], north[0], north[1]), enters)
+    west, south = strips.west if j >= 0 else strips.spare, strips.south if i >= 0 else strips.spare
+    lower = (west, south, max(i, 0) * grid.block)
+    moving_fluxes(fields.g, cell.block, grid, upper, lower, work.result, moments.east, moments.north)
+
+
+@part
+def cross_scaled(grid, space, model, fields, cell, work):  # type: ignore[no-untyped-def]
+    """The fluxes where all velocities are counted from zero."""
     j, i, y, x = cell.j, cell.i, cell.y, cell.x
     omega, moments, strips = fields.begin.omega, work.moments, work.strips
     omega_e, omega_n = (omega[y, x], omega[y, x]), (omega[y, x], omega[y, x])
@@ -51,11 +89,6 @@ def cross(grid, space, model, fields, cell, work):  # type: ignore[no-untyped-de
     west, south = strips.west if j >= 0 else strips.spare, strips.south if i >= 0 else strips.spare
     lower = (west, south, max(i, 0) * grid.block, strips.faces)
     upper_fluxes(fields.g, cell.block, grid, upper, lower, work.result, moments.east, moments.north)
-    for q in range(5):
-        if j < 0:
-            moments.south[i, q] = moments.north[q]
-        elif i < 0:
-            moments.west[q] = moments.east[q]
 
 
 @part
@@ -143,8 +176,17 @@ def advance(grid, space, model, stage, dt, fields, cell, work):  # type: ignore[
     own = fields.growth[j, i] + beta
     if model.kinetic:
         own = 0.5 * (rate[4] / energy - rate[0] / density) + beta * (kinetic_energy / energy)
-    of_g = (beta, (ux / omega, uy / omega, uz / omega), temperature / (omega * omega))
-    turn, crossing, drifting = frame_drift(grid, space, model.conservative, fields.begin.omega, cell, own, of_g)
+    omega_new, taken, carried = fields.omega_end[j, i], 0.0, fields.new.carried[j, i]
+    if model.carried:
+        positive, taken = carry(d, model.cooling, stage, dt, fields.start.carried[j, i], begin, rate, carried)
+        if not positive:
+            return NOT_POSITIVE
+    if model.thermal:
+        turning = frame_rates(model, d, stage, dt, fields, cell, rate, taken)
+        turn, crossing, drifting = thermal_drift(grid, space, fields.begin, cell, turning)
+    else:
+        of_g = (beta, (ux / omega, uy / omega, uz / omega), temperature / (omega * omega))
+        turn, crossing, drifting = frame_drift(grid, space, model.conservative, fields.begin.omega, cell, own, of_g)
     report.transport, report.drift = crossing, drifting
 
     z = fields.depth[j, i] if stage.number > 0 or model.explicit else 0.0
@@ -155,14 +197,14 @@ def advance(grid, space, model, stage, dt, fields, cell, work):  # type: ignore[
     if replaced > REPLACED:
         return problem(replaced)
 
-    omega_new, carried = fields.omega_end[j, i], fields.new.carried[j, i]
     if model.carried:
-        positive, taken = carry(d, model.cooling, stage, dt, fields.start.carried[j, i], begin, rate, carried)
-        if not positive:
-            return NOT_POSITIVE
         taken *= stage.reach
         if model.kinetic:
             omega_new = math.sqrt(2.0 * carried[4] / (d * carried[0]))
+        elif model.thermal:
+            omega_new = speed_of(thermal_energy(carried), carried[0], d)
+            for q in range(3):
+                fields.new.mean[cell.y, cell.x, q] = carried[1 + q] / carried[0]
     else:
         share = stage.reach * (1.0 - stage.old)
         taken = share * step_cooling(thermal, density, d, model.cooling, stage.time, dt)
