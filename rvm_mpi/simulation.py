@@ -146,6 +146,10 @@ class Simulation:
                 self._advance_fluid(dt)
                 self.kinetic.first_stage(dt)
                 shorter = time_limits.shorter_step(dt, self.kinetic.rate, self.job.time.cfl)
+                if self.kinetic.too_long:
+                    shorter = 0.5 * dt
+                    if shorter < time_limits.COLLAPSED * self.job.time.end:
+                        raise self._collapse(shorter, COURANT)
                 if shorter is None:
                     report = self.kinetic.later_stages(dt)
                     break
