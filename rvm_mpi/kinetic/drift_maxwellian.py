@@ -6,7 +6,8 @@ grid and k the node that it comes from:
 
 1. v on the face by the parabola through h_k and its two neighbours, bounded (`limiter.towards_face`);
 2. P = a M_F v, the product there to second order, exact where h is constant;
-3. the flux P - (P_+ - 2 P + P_-)/24: its difference over h is then a derivative of fourth order at the node;
+3. the flux P - (P_+ - 2 P + P_-)/24: its difference over h is then a derivative of fourth order at the node; a
+   neighbour's P counts no more than STEEPEST times the others;
 4. none beyond the share of what its donor has that this face may carry in the step: so g stays positive whatever it is.
 
 That fluxes may go against P's sign matters where a changes its own: without them a temperature gradient gives the gas a
@@ -43,6 +44,9 @@ FACTORS = 4
 SHARE = 0.999
 #: of that, the part that a face has for each of the two faces of the node through which P goes the way it goes there
 TURNED = 0.375
+#: how many times the larger of P on a face and P on its other neighbour a neighbour's P counts at most: from there on
+#: the flux would turn against P, far out where P grows so from face to face, and rounding grow a millionfold in 12 steps
+STEEPEST = 26.0
 #: exponents of 1/M stay below this, far inside the range of doubles
 HIGHEST = 600.0
 #: the exponent of what there is not
@@ -127,8 +131,12 @@ def through_face(products, bend, share, donors):  # type: ignore[no-untyped-def]
     where P goes that way: seven eighths where it passes the node, a half through each where it parts there.
     """
     (before, own, after), (below, above) = products, donors
-    zero, little, more = splat(0.0), splat((0.5 - TURNED) * share), splat(TURNED * share)
-    flux = fma(before + after, bend, own * (13.0 / 12.0))
+    zero = splat(0.0)
+    most_before, most_after = maximum(abs(own), abs(after)) * STEEPEST, maximum(abs(own), abs(before)) * STEEPEST
+    before_held = maximum(minimum(before, most_before), zero - most_before)
+    after_held = maximum(minimum(after, most_after), zero - most_after)
+    little, more = splat((0.5 - TURNED) * share), splat(TURNED * share)
+    flux = fma(before_held + after_held, bend, own * (13.0 / 12.0))
     # P = 0 leaves through no face: the same for either direction
     up = where_negative(zero - own, more, zero) + where_negative(zero - before, more, zero)
     down = where_negative(own, more, zero) + where_negative(after, more, zero)

@@ -73,6 +73,7 @@ SCALINGS = {
     "macroscopic-conservative": {"scaling": {"kind": "macroscopic"}, "scheme": {"conservative": True}},
     "synchronised": {"scaling": {"kind": "macroscopic", "synchronise": 2.0}, "scheme": {"conservative": False}},
     "kinetic": {"scaling": {"kind": "kinetic"}, "fluid": FLUID},
+    "thermal": {"scaling": {"kind": "thermal"}},
 }
 #: ... in every dimension
 SPACES = {

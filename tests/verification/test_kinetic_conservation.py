@@ -24,7 +24,7 @@ def balances(job, steps):
 
 
 @pytest.mark.parametrize("collision", [es_bgk(0.1, 3.0, 1.0, 0.5), GRANULAR], ids=["elastic", "granular"])
-@pytest.mark.parametrize(("scaling", "conservative"), [("kinetic", True), ("macroscopic", True), ("none", True)])
+@pytest.mark.parametrize(("scaling", "conservative"), [("thermal", True), ("kinetic", True), ("macroscopic", True), ("none", True)])
 def test_periodic_gas_of_random_density(scaling, conservative, collision):
     job = build(
         space=PLANE,
@@ -72,7 +72,7 @@ def test_paper_s_scaling_keeps_mass_alone():
     assert abs(row["energy_error"]) > 1e-6
 
 
-@pytest.mark.parametrize("scaling", ["kinetic", "macroscopic", "none"])
+@pytest.mark.parametrize("scaling", ["thermal", "kinetic", "macroscopic", "none"])
 def test_what_enters_through_walls_is_counted(scaling):
     job = build(
         space=line(20, WALLS),

@@ -7,10 +7,11 @@ from tests.verification.kinetic_cases import orders
 from tests.verification.navier_stokes import conductivity, viscosity
 
 
-@pytest.mark.parametrize("scaling", ["none", "kinetic"])
+@pytest.mark.parametrize("scaling", ["none", "kinetic", "thermal"])
 def test_viscosity(scaling):
     """mu = Pr p eps/tau: k times the mean free path is 0.06, its square changes the rate by less than 0.5 %."""
-    found = viscosity(0.01, 64, (10, 10, 10), scaling)
+    drift = "maxwellian" if scaling == "thermal" else "van-leer"
+    found = viscosity(0.01, 64, (10, 10, 10), scaling, drift)
     print(f"{scaling}: mu tau/(p eps) = {found:.5f}, Chapman and Enskog {2 / 3:.5f}")
     assert found == pytest.approx(2 / 3, rel=0.01)
 

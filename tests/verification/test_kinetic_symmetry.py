@@ -5,7 +5,7 @@ import pytest
 
 from tests.verification.kinetic_cases import build, es_bgk, line, run
 
-CASES = (("van-leer", 1e-12), ("maxwellian", 1e-9))
+CASES = (("van-leer", 1e-12), ("maxwellian", 2e-11))
 FAR = {"x": "far-field", "y": "far-field"}
 
 
@@ -15,16 +15,16 @@ def relative(a, b):
 
 @pytest.mark.parametrize(
     ("scaling", "drift", "within"),
-    [(scaling, *case) for scaling in ("kinetic", "macroscopic") for case in CASES],
+    [("thermal", "maxwellian", 1e-11), *((scaling, *case) for scaling in ("kinetic", "macroscopic") for case in CASES)],
 )
 def test_disc_of_test_5_keeps_its_symmetries(scaling, drift, within):
-    """To rounding, which the limiter of the Maxwellian drift lets grow where h is steep."""
+    """To rounding, which the Maxwellian drift lets grow a little where h is steep: 1e-12 in the kinetic scaling."""
     simulation = run(
         build(
             space={"cells": [16, 16], "lower": [-1, -1], "upper": [1, 1], "boundary": FAR},
             velocity={"points": [12, 12, 8], "half_width": 7.0},
             scaling=scaling,
-            scheme={"conservative": scaling == "kinetic", "drift": drift},
+            scheme={"conservative": scaling != "macroscopic", "drift": drift},
             collision=es_bgk(0.05, 0.925 * np.pi / 2, prandtl=2 / 3),
             initial={"state": "temperature-disc", "inner": 1.0, "outer": 100.0},
             time={"end": 0.1, "max_steps": 12},
@@ -43,8 +43,9 @@ def test_disc_of_test_5_keeps_its_symmetries(scaling, drift, within):
     assert worst < within
 
 
+@pytest.mark.parametrize("scaling", ["thermal", "kinetic"])
 @pytest.mark.parametrize("operator", ["none", "granular-es-bgk"])
-def test_specular_wall_is_half_of_the_doubled_periodic_problem(operator):
+def test_specular_wall_is_half_of_the_doubled_periodic_problem(operator, scaling):
     """A half wave between mirrors against the whole wave in a periodic domain of twice the length."""
     collision = {"operator": operator}
     if operator != "none":
@@ -55,6 +56,7 @@ def test_specular_wall_is_half_of_the_doubled_periodic_problem(operator):
             build(
                 space=line(cells, kind, upper=upper),
                 velocity={"points": [16, 12], "half_width": 7.0},
+                scaling=scaling,
                 collision=collision,
                 initial={
                     "state": "wave",
@@ -76,7 +78,7 @@ def test_specular_wall_is_half_of_the_doubled_periodic_problem(operator):
     assert worst < 1e-12
 
 
-@pytest.mark.parametrize("scaling", ["kinetic", "macroscopic", "none"])
+@pytest.mark.parametrize("scaling", ["thermal", "kinetic", "macroscopic", "none"])
 @pytest.mark.parametrize("kind", ["diffuse", "maxwell", "specular"])
 def test_equilibrium_stays_between_walls_of_its_own_temperature(kind, scaling):
     side = {"kind": kind}
@@ -102,7 +104,7 @@ def test_equilibrium_stays_between_walls_of_its_own_temperature(kind, scaling):
     assert abs(row["mass_error"]) < 1e-13
 
 
-@pytest.mark.parametrize("scaling", ["kinetic", "macroscopic", "none"])
+@pytest.mark.parametrize("scaling", ["thermal", "kinetic", "macroscopic", "none"])
 def test_uniform_gas_in_an_infinite_domain_stays_uniform(scaling):
     simulation = run(
         build(

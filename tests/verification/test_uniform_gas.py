@@ -91,8 +91,10 @@ def test_at_rest_between_sides_of_its_own(side, points):
     stays(job, 1.0, np.zeros(len(points)), 1.0, steps=60)
 
 
-@pytest.mark.parametrize("scaling", ["none", "macroscopic"])
-@pytest.mark.parametrize("conservative", [True, False])
+@pytest.mark.parametrize(
+    ("scaling", "conservative"),
+    [("none", True), ("none", False), ("macroscopic", True), ("macroscopic", False), ("thermal", True)],
+)
 def test_in_every_scaling(scaling, conservative):
     wall = {"kind": "maxwell", "accommodation": 0.7, "velocity": [0.0, 0.4]}
     scheme = {"conservative": conservative}

@@ -33,7 +33,7 @@ def free_molecular_shear(speed, flux):
     return flux * 2 * speed
 
 
-@pytest.mark.parametrize("scaling", ["none", "kinetic"])
+@pytest.mark.parametrize("scaling", ["none", "kinetic", "thermal"])
 def test_free_molecular_couette_heats_both_walls(scaling):
     """Shear 2 speed rho sqrt(T/(2 pi)) on each wall; the heat it gets is what its motion puts in, shear x speed."""
     speed = 0.5
