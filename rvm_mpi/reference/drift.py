@@ -58,7 +58,7 @@ class Turning(NamedTuple):
         return (np.abs(rates).max(axis=0) * p.V[q] + np.abs(pushes).max(axis=0)) / p.h[q]
 
     def extremes(self, p: Problem, own: Array, gradient: Array) -> Array:
-        """Least and most of own + sum_s (xi_s + flow_s) gradient_s in the box: at its edges, or where the sign turns."""
+        """Bounds of own + sum_s (xi_s + flow_s) gradient_s in the box: met at its edges, or where the sign turns."""
         low, high = own, own
         assert self.flow is not None
         for s, (up, down) in enumerate(gradient):

@@ -82,16 +82,16 @@ def moving_transport(p: Problem, state: State) -> Transport:
     rate, N, courant = np.zeros(state.g.shape), np.zeros((*cells, 5)), np.zeros(cells)
     gradient = np.zeros((space.dimensions, 2, *cells, 4))
     for axis, dx in enumerate(space.spacing):
-        through, crossing, fastest = 0.0, 0.0, []
+        fastest = []
         for end, (g, w) in enumerate(faces(p, state, axis)):
             v = nodewise(w[..., axis]) + nodewise(w[..., 3]) * p.xi[axis]
-            flux = np.where(v > 0.0, v, 0.0) * g if end == 0 else np.where(v < 0.0, v, 0.0) * g
-            through = through + flux / dx
-            crossing = crossing + shifted(p.weight * sums(p, flux / dx) * powers(w[..., 3]), w[..., :3])
+            flux = (np.maximum(v, 0.0) if end == 0 else np.minimum(v, 0.0)) * g / dx
+            # of 1, v, |v|^2/2 from those of xi
+            crossing = shifted(p.weight * sums(p, flux) * powers(w[..., 3]), w[..., :3])
+            rate -= np.moveaxis(np.diff(flux, axis=0), 0, 1 - axis)
+            N -= np.moveaxis(np.diff(crossing, axis=0), 0, 1 - axis)
             gradient[axis, end] = np.moveaxis(np.diff(w, axis=0), 0, 1 - axis) / dx
             fastest.append((np.abs(w[..., axis]), w[..., 3]))
-        rate -= np.moveaxis(np.diff(through, axis=0), 0, 1 - axis)
-        N -= np.moveaxis(np.diff(crossing, axis=0), 0, 1 - axis)
         speed, thermal = np.max(fastest, axis=0)
         most = np.maximum(speed[:-1], speed[1:]) + np.maximum(thermal[:-1], thermal[1:]) * p.V[axis]
         courant += np.moveaxis(most, 0, 1 - axis) / dx
@@ -128,7 +128,7 @@ def rest(p: Problem, U: Array, middle: Array, end: Array, dt: float, first: Rate
 
 
 def turning(p: Problem, state: State, rates: Rates, gradient: Array) -> Turning:
-    """a = -[alpha + beta xi + sum_s v_s (P_s + xi P_omega,s)], P = grad(u, omega)/L, v = u + omega xi the cell's own."""
+    """a = -[alpha + beta xi + sum_s v_s (P_s + xi P_omega,s)], P = grad(u, omega)/L, with the cell's own v."""
     flow = mean_velocity(state.U) / state.omega[..., None]
     P = gradient * (state.omega / rates.L)[..., None]
     none = np.zeros(flow.shape)

@@ -107,7 +107,7 @@ def turning_of(rates, state=((0, 0, 0), 1.0), moving=STILL):
     """The reference's `Turning` of one cell.
 
     rates: A, the gradients of omega along x and y (up, down each), three pushes; state: mean and temperature of the
-    Maxwellian; moving: flow (3) and the shears along x and y (2, 2, 3), all zero where velocities are counted from zero.
+    Maxwellian; moving: flow (3) and shears along x and y (2, 2, 3), zeros where velocities are counted from zero.
     """
     rates = np.asarray(rates, dtype=float)
     own, gradient, push = np.full((1, 1), rates[0]), rates[1:5].reshape(2, 2, 1, 1), rates[5:].reshape(1, 1, 3)

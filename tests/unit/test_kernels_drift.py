@@ -5,7 +5,18 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy_twins import (
-    SHAPES, STILL, drift_rate, kernel_drift, laid_out, make_grid, make_work, nodes, pack, problem, random_g, turning_of,
+    SHAPES,
+    STILL,
+    drift_rate,
+    kernel_drift,
+    laid_out,
+    make_grid,
+    make_work,
+    nodes,
+    pack,
+    problem,
+    random_g,
+    turning_of,
 )  # fmt: skip
 
 from rvm_mpi.kinetic import drift
