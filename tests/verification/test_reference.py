@@ -6,6 +6,9 @@ hundred, may make 1e-11 of max g of that; what is found is below 1e-13, and a te
 is not rounding: where the correction's last step begins from a mismatch below 1e-8 the kernels do not measure the
 stress again, but give each axis the same share of its trace. ES-BGK sees the stress: 1e-9 there; 3e-11 is found, and
 8e-10 where nodes can hardly hold the Gaussian.
+
+In the thermal scaling a side's Maxwellian must be one that the nodes of the frame it is written in can hold: from
+`FINE` on grids are chosen so. What the kernels do where they cannot is no part of the comparison.
 """
 
 from dataclasses import dataclass, replace
