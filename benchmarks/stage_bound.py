@@ -36,8 +36,10 @@ REPORT = 30
 OMEGA = (1.0, 1.1, 0.9, 1.05)
 PER = (64.0, 48.0)
 DT, WEIGHTS, SHARES = 1e-4, (0.5, 0.6), (0.7, 0.2)
-#: what `Drift` takes, but for the Maxwellian, at which Van Leer's limiter does not look
+#: what `Drift` takes, but for what Van Leer's limiter does not look at: the Maxwellian, a flow and shears, max|a|/h
 RATES = (0.3, 0.2, 0.1, -0.2, 0.25, (0.01, 0.02, -0.03))
+NOTHING = (0.0, 0.0, 0.0)
+STILL = ((0.0, 0.0), (NOTHING, NOTHING, NOTHING, NOTHING), NOTHING)
 THETA = (0.1, 0.0, 0.02, 0.01, -0.5, 0.03, -0.02, -0.45, 0.01, -0.55)
 CENTRE = (0.1, -0.05, 0.02)
 
@@ -49,7 +51,7 @@ def _cells(grid, space, g, out, report, buffer):  # type: ignore[no-untyped-def]
     no_factor(correction)
     for q in range(3):
         correction.centre[q] = CENTRE[q]
-    turn, blend = Drift(*RATES, CENTRE, 1.0), Mix(out, WEIGHTS[0], WEIGHTS[1], DT)
+    turn, blend = Drift(*RATES, CENTRE, 1.0, *STILL), Mix(out, WEIGHTS[0], WEIGHTS[1], DT)
     row = (space.nx + 2 * space.wx) * grid.block
     for j in range(-1, space.ny):
         for i in range(0 if j < 0 else -1, space.nx):

@@ -2,6 +2,8 @@
 
     d_t g + div_x(omega xi g) + div_xi(a g) = C[g],   a = -(d_t omega/omega + xi_x . grad omega) xi   (docs/method.md)
 
+or, where velocities are counted from the gas's mean (`thermal.py`), v = u + omega xi for omega xi.
+
 One process, short and slow: whole arrays over cells and velocities, each term beside its equation. Begin with
 `scheme.py`, the time integrator; each term is in the file of its name. Arrays of cells are (ny, nx), those of g
 (ny, nx, px, py, pz), an unused direction of length one; all is in the job's units. No kernel is imported, and what

@@ -17,10 +17,12 @@ CENTRAL = {
 
 
 class Turning(NamedTuple):
-    """What makes a = -(A + xi_x . grad omega) xi + push, and g's mean (ny, nx, 3) and temperature (ny, nx).
+    """What makes a = push - A xi - sum over directions s of (xi_s + flow_s) (shear_s + d omega/dx_s xi).
 
     A (ny, nx): d_t omega/omega and the drag's rate beta; gradient (d_x, 2, ny, nx): of omega along each direction, for
-    xi > 0 and xi < 0 there; push (ny, nx, 3): beta u/omega.
+    velocities that go up and for those that go down there; push (ny, nx, 3): beta u/omega. mean (ny, nx, 3) and T
+    (ny, nx) are g's. In the thermal scaling push = -d_t u/omega, flow = u/omega (ny, nx, 3), shears (d_x, 2, ny, nx, 3)
+    are the gradients of u, and both gradients are times omega over its mean in the stage; else there is no flow.
     """
 
     A: Array
@@ -28,22 +30,42 @@ class Turning(NamedTuple):
     push: Array
     mean: Array
     T: Array
+    flow: Array | None = None
+    shears: Array | None = None
 
     def speed(self, q: int, at: list[Array]) -> Array:
         """a along q, (ny, nx, px, py, pz), at velocities (px, 1, 1), (1, py, 1), (1, 1, pz)."""
-        rate = nodewise(self.A)
+        rate, push = nodewise(self.A), nodewise(self.push[..., q])
         for s, (up, down) in enumerate(self.gradient):
-            rate = rate + np.where(at[s] > 0.0, nodewise(up), nodewise(down)) * at[s]
+            across = at[s] if self.flow is None else at[s] + nodewise(self.flow[..., s])  # v_s/omega
+            rate = rate + np.where(across > 0.0, nodewise(up), nodewise(down)) * across
+            if self.shears is not None:
+                up, down = self.shears[s][..., q]
+                push = push - np.where(across > 0.0, nodewise(up), nodewise(down)) * across
         one = np.ones(np.broadcast_shapes(*(x.shape for x in at)))
-        return (nodewise(self.push[..., q]) - rate * at[q]) * one
+        return (push - rate * at[q]) * one
 
     def most(self, p: Problem) -> Array:
         """The most |A + xi_x . grad omega| in the box."""
         return np.abs(self.A) + sum(np.abs(w).max(axis=0) * p.V[s] for s, w in enumerate(self.gradient))
 
     def fastest(self, p: Problem, q: int) -> Array:
-        """max|a|/h along q."""
-        return (self.most(p) * p.V[q] + np.abs(self.push[..., q])) / p.h[q]
+        """max|a|/h along q, or a bound of it: with flow, of each sum over the directions of space by itself."""
+        if self.flow is None or self.shears is None:
+            return (self.most(p) * p.V[q] + np.abs(self.push[..., q])) / p.h[q]
+        rates = self.extremes(p, self.A, self.gradient)
+        pushes = self.extremes(p, -self.push[..., q], self.shears[..., q])
+        return (np.abs(rates).max(axis=0) * p.V[q] + np.abs(pushes).max(axis=0)) / p.h[q]
+
+    def extremes(self, p: Problem, own: Array, gradient: Array) -> Array:
+        """Bounds of own + sum_s (xi_s + flow_s) gradient_s in the box: met at its edges, or where the sign turns."""
+        low, high = own, own
+        assert self.flow is not None
+        for s, (up, down) in enumerate(gradient):
+            first, last = self.flow[..., s] - p.V[s], self.flow[..., s] + p.V[s]
+            reached = [x * np.where(x > 0.0, up, down) for x in (first, np.clip(0.0, first, last), last)]
+            low, high = low + np.min(reached, axis=0), high + np.max(reached, axis=0)
+        return np.stack([low, high])
 
 
 def drift(p: Problem, g: Array, turning: Turning, loses: Array) -> Array:

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from rvm_mpi.reference import thermal
 from rvm_mpi.reference.boltzmann import boltzmann, penalisation
 from rvm_mpi.reference.collisions import DEEPEST, cooling, finished, gaussian_of, haff, relaxation_rate, relaxes
 from rvm_mpi.reference.drift import Turning, drift
@@ -66,6 +67,13 @@ class Given(NamedTuple):
     penalty: tuple[Array, Array] | None
 
 
+class Found(NamedTuple):
+    """What the first stage leaves for the second: the depth (given where there is a penalty), and frames' rates."""
+
+    depth: Array | None
+    rates: thermal.Rates | None = None
+
+
 def step(p: Problem, state: State, dt: float, omega_end: Array | None = None) -> State:
     """The state after a step.
 
@@ -86,49 +94,59 @@ def step(p: Problem, state: State, dt: float, omega_end: Array | None = None) ->
     end = state.omega if omega_end is None else omega_end
     penalty = penalisation(p, state, dt) if p.job.collision.explicit else None
     given = Given(end, np.log(end / state.omega) / dt, penalty)
-    depth = None if penalty is None else dt * penalty[0]
+    found = Found(None if penalty is None else dt * penalty[0])
     now = state
     for stage in STAGES:
-        now, depth = take(p, stage, dt, state, now, given, depth)
+        now, found = take(p, stage, dt, state, now, given, found)
     return now
 
 
 def take(
-    p: Problem, stage: Stage, dt: float, begin: State, here: State, given: Given, depth: Array | None
-) -> tuple[State, Array]:
-    """One stage from `here`, of a step that began at `begin`: its result, and the relaxation depth (found if None)."""
-    z = np.zeros(here.omega.shape) if depth is None else depth
+    p: Problem, stage: Stage, dt: float, begin: State, here: State, given: Given, found: Found
+) -> tuple[State, Found]:
+    """One stage from `here`, of a step that began at `begin`: its result, and what it found for the next."""
+    z = np.zeros(here.omega.shape) if found.depth is None else found.depth
     U = here.U if p.carries else moments(p, here)
-    rho, E, T = U[..., 0], U[..., 4], temperature(p, U)
-    across = transport(p, here)
+    rho, T = U[..., 0], temperature(p, U)
+    across = thermal.moving_transport(p, here) if p.thermal else transport(p, here)
     rate, N = across.rate, across.moments
     if given.penalty is not None:
         source, heating = boltzmann(p, here, *given.penalty)
         rate, N[..., 4] = rate + source, N[..., 4] + heating
 
-    # the drag (C rho sqrt(T)/eps) div_v((v - u) f) and d_t omega/omega are one number before anything is upwinded
-    beta = stage.drag(dt * cooling(p) * rho * np.sqrt(T)) / dt
-    growth = given.growth
-    if p.kinetic:  # d_t omega/omega = 1/2 (E'/E - rho'/rho)
-        growth = 0.5 * ((N[..., 4] - beta * p.d * rho * T) / E - N[..., 0] / rho)
-    mean = U[..., 1:4] / (rho * here.omega)[..., None]
-    turning = Turning(growth + beta, across.gradient, beta[..., None] * mean, mean, T / here.omega**2)
-    explicit, first = explicit_part(p, stage, dt, begin, here, z, across._replace(rate=rate), turning)
-
-    # U' = a H(U^n) + b H_c(U + dt N(U)), and from it omega = sqrt(2 E/(d rho))
-    U_end, omega = here.U, given.omega
+    # U' = a H(U^n) + b H_c(U + dt N(U)), and from it omega = sqrt(2 E/(d rho)), or sqrt(T) where frames move
+    U_end, omega, (a, b, c) = here.U, given.omega, stage.carried
     if p.carries:
-        a, b, c = stage.carried
         U_end = a * haff(p, begin.U, dt) + b * haff(p, here.U + dt * N, c * dt)
     if p.kinetic:
         omega = np.sqrt(2.0 * U_end[..., 4] / (p.d * U_end[..., 0]))
 
+    # the drag (C rho sqrt(T)/eps) div_v((v - u) f) and d_t omega/omega are one number before anything is upwinded
+    if p.thermal:
+        omega, rates = np.sqrt(temperature(p, U_end)), found.rates
+        if rates is None:
+            rates = thermal.change(p, U, U + dt * N, dt)
+            found = found._replace(rates=rates)
+        else:
+            rates = thermal.rest(p, begin.U, U, U_end, dt, rates)
+        turning = thermal.turning(p, here, rates, across.gradient)
+    else:
+        beta = stage.drag(dt * cooling(p) * rho * np.sqrt(T)) / dt
+        growth = given.growth
+        if p.kinetic:  # d_t omega/omega = 1/2 (E'/E - rho'/rho)
+            growth = 0.5 * ((N[..., 4] - beta * p.d * rho * T) / U[..., 4] - N[..., 0] / rho)
+        mean = U[..., 1:4] / (rho * here.omega)[..., None]
+        turning = Turning(growth + beta, across.gradient, beta[..., None] * mean, mean, T / here.omega**2)
+    explicit, first = explicit_part(p, stage, dt, begin, here, z, across._replace(rate=rate), turning)
+
     # sums of 1, xi, |xi|^2/2 that g' is to have: those of U', else what it has by itself
     known, before = stage.old(z) + stage.new(z) + stage.first(z), sums(p, begin.g)
     wanted = (sums(p, explicit) + first[..., None] * before) / known[..., None]
-    if p.job.scheme.conservative:
+    if p.thermal:
+        wanted = U_end[..., :1] / p.weight * np.array([1.0, 0.0, 0.0, 0.0, 0.5 * p.d])
+    elif p.job.scheme.conservative:
         wanted = U_end / p.weight / powers(omega)
-    if depth is None and p.job.collision.relaxation is not None:  # tau/eps averaged over the step
+    if found.depth is None and p.job.collision.relaxation is not None:  # tau/eps averaged over the step
         after = p.weight * wanted * powers(omega)
         tau = relaxation_rate(p, rho, T) + relaxation_rate(p, after[..., 0], temperature(p, after))
         z = np.minimum(0.5 * dt * tau, DEEPEST)
@@ -136,7 +154,7 @@ def take(
     for at in np.ndindex(*omega.shape):
         weights = known[at], first[at], stage.last(z)[at]
         g[at] = finished(p, explicit[at], begin.g[at], wanted[at], before[at], weights)
-    return State(g, omega, U_end), z
+    return State(g, omega, U_end), found._replace(depth=z)
 
 
 def explicit_part(

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from math import sqrt
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from rvm_mpi.reference.gaussians import ROOM, axis_gaussian, least_variance
-from rvm_mpi.reference.state import Array, Problem, State, face_value, sums
+from rvm_mpi.reference.state import Array, Problem, State, face_value, nodewise, sums
 
 #: a box of so many thermal speeds on either side holds a Gaussian; so many h^2 of variance are held anywhere
 REACH, HELD_ANYWHERE = 3.5, 0.27
 #: variances that differ by less than this are the same
 ROUNDED = 1e-9
+#: least variance of a side's state in the inner cell's moving frame, and the farthest its mean may lie, in omega
+COLDEST, FARTHEST = 0.3, 2.0
 
 
 class Ghosts(NamedTuple):
@@ -51,12 +53,23 @@ def omega_beyond(p: Problem, side: Ghosts, omega: Array) -> Array:
     return np.stack([omega[0] + half, omega[0] + 5.0 * half])
 
 
+def side_of(p: Problem, axis: int, end: int) -> Any:
+    """A side as the job has it."""
+    return p.job.space.sides["xy"[axis] + ("-lower", "-upper")[end]]
+
+
+def mirrors(p: Problem, axis: int, end: int) -> bool:
+    """Whether a side sends back all that arrives, mirrored."""
+    side = side_of(p, axis, end)
+    return side.kind == "specular" or (side.kind == "maxwell" and not side.accommodation)
+
+
 def ghosts(p: Problem, axis: int, end: int, g: Array, omega: Array) -> Ghosts:
     """Ghost cells of one side from the cells inward, g (cells, n, px, py, pz) and omega (cells, n)."""
-    side, sign = p.job.space.sides["xy"[axis] + ("-lower", "-upper")[end]], 1 - 2 * end
+    side, sign = side_of(p, axis, end), 1 - 2 * end
     inner, beyond, across = g[0], np.zeros((g.shape[1], 5)), axis - 3
     accommodation = side.accommodation or 0.0
-    if side.kind == "specular" or (side.kind == "maxwell" and accommodation == 0.0):
+    if mirrors(p, axis, end):
         return Ghosts(np.flip(inner, across), np.flip(g[1], across), beyond, True)
     if side.kind == "outflow":
         return Ghosts(inner, inner, beyond, False)
@@ -126,3 +139,60 @@ def frame(p: Problem, axis: int, mean: float, variance: float, own: float, side:
         return 1.0
     scale = sqrt(variance / (widest if variance > widest else max(least, HELD_ANYWHERE * h**2)))
     return scale if abs(mean) < 0.5 * x[-1] * scale else max(scale, side)
+
+
+class Moving(NamedTuple):
+    """Beyond a side in the thermal scaling: g and frames of the near and the far ghost cell, (2, n, ...).
+
+    leaving, entering: g on the face of what leaves, in the inner cell's frame, and of what enters, in the near one's.
+    """
+
+    g: Array
+    frames: Array
+    leaving: Array
+    entering: Array
+
+
+def moving_side(p: Problem, axis: int, end: int, g: Array, frames: Array) -> Moving:
+    """What one side does, from the cells inward: g (cells, n, px, py, pz) and their frames u, omega (cells, n, 4)."""
+    side, sign, across = side_of(p, axis, end), 1 - 2 * end, axis - 3
+    inner, w, reflected = g[0], frames[0], frames * np.where(np.arange(4) == axis, -1.0, 1.0)
+    if mirrors(p, axis, end):
+        return Moving(np.flip(g[:2], across), reflected[:2], inner, inner)
+    beyond = np.maximum(2.0 * inner - g[1], 0.5 * inner)
+    leaving = face_value(inner, inner - g[1], beyond - inner)
+    wall, entering = side.kind == "maxwell", inner if side.kind == "outflow" else np.zeros(inner.shape)
+    if wall or side.kind == "far-field":
+        there = p.sides[axis, end]
+        w = frame_of_side(p, axis, there, reflected[0] if wall else w, not wall or side.accommodation == 1.0)
+        entering = there[:, 0, None, None, None] / p.weight * np.array([shape(p, *pair) for pair in zip(there, w)])
+    if wall:  # as much mass comes back as arrives
+        arrives, comes = (
+            np.einsum("nijk->n", np.maximum(s * sign * normal_speed(p, axis, frame), 0.0) * values)
+            for s, frame, values in ((-1, frames[0], leaving), (1, w, entering))
+        )
+        entering = nodewise(side.accommodation * arrives / comes) * entering
+        entering = entering + (1.0 - side.accommodation) * np.flip(leaving, across)
+    return Moving(np.stack([beyond, beyond]), np.stack([w, w]), leaving, entering)
+
+
+def normal_speed(p: Problem, axis: int, frames: Array) -> Array:
+    """v along an axis of the nodes of frames (n, 4)."""
+    return nodewise(frames[:, axis]) + nodewise(frames[:, 3]) * p.xi[axis]
+
+
+def frame_of_side(p: Problem, axis: int, side: Array, frames: Array, may: bool) -> Array:
+    """The frames (n, 4) given, or a side's own, (n, 5) rho, u, T, where it may and theirs cannot hold its state."""
+    own = np.concatenate([side[:, 1:4], np.sqrt(side[:, 4:])], axis=-1)
+    variance = side[:, 4] / frames[:, 3] ** 2
+    away = np.sqrt(np.sum((side[:, 1:4] - frames[:, :3]) ** 2, axis=-1)) > FARTHEST * frames[:, 3]
+    unfit = away | (variance < COLDEST) | (variance > (p.V[axis] / REACH) ** 2)
+    return np.where((may & unfit)[:, None], own, frames)
+
+
+def shape(p: Problem, side: Array, frame: Array) -> Array:
+    """The discrete Maxwellian (px, py, pz), of sum one, of a side's u and T on the nodes of a frame."""
+    factors = [np.ones(1)] * 3
+    for q in range(p.d):
+        factors[q] = axis_gaussian(p.xi[q].ravel(), (side[1 + q] - frame[q]) / frame[3], side[4] / frame[3] ** 2)
+    return factors[0][:, None, None] * factors[1][:, None] * factors[2]

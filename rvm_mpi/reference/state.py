@@ -13,7 +13,10 @@ Array = np.ndarray
 
 @dataclass(frozen=True)
 class State:
-    """g (ny, nx, px, py, pz), omega (ny, nx), and carried U = (rho, rho u, E) of f (ny, nx, 5), not always in use."""
+    """g (ny, nx, px, py, pz), omega (ny, nx), and carried U = (rho, rho u, E) of f (ny, nx, 5), not always in use.
+
+    In the thermal scaling v = u + omega xi with the carried u.
+    """
 
     g: Array
     omega: Array
@@ -73,6 +76,11 @@ class Problem:
         return self.job.scaling.kind == "kinetic"
 
     @property
+    def thermal(self) -> bool:
+        """Whether v = u + omega xi, u and omega = sqrt(T) those of the carried moments."""
+        return self.job.scaling.kind == "thermal"
+
+    @property
     def carries(self) -> bool:
         """Whether U is carried; else it is measured from g."""
         return self.kinetic or bool(self.job.scheme.conservative)
@@ -93,9 +101,23 @@ def powers(omega: Array) -> Array:
     return np.stack([omega**0, omega, omega, omega, omega**2], axis=-1)
 
 
+def shifted(five: Array, u: Array) -> Array:
+    """Moments of 1, v, |v|^2/2 where v = u + w, from those of 1, w, |w|^2/2: (..., 5), u (..., 3)."""
+    mass, momentum, energy = five[..., :1], five[..., 1:4], five[..., 4:]
+    mixed = np.sum(u * momentum, axis=-1, keepdims=True)
+    square = np.sum(u * u, axis=-1, keepdims=True)
+    return np.concatenate([mass, momentum + mass * u, energy + mixed + 0.5 * mass * square], axis=-1)
+
+
 def moments(p: Problem, state: State) -> Array:
-    """U = (rho, rho u, E) of f from g: rho_f = rho_g, u_f = omega u_g, T_f = omega^2 T_g."""
-    return p.weight * sums(p, state.g) * powers(state.omega)
+    """U = (rho, rho u, E) of f from g: rho_f = rho_g, u_f = omega u_g, T_f = omega^2 T_g, and u more if thermal."""
+    U = p.weight * sums(p, state.g) * powers(state.omega)
+    return shifted(U, mean_velocity(state.U)) if p.thermal else U
+
+
+def mean_velocity(U: Array) -> Array:
+    """u of rho, rho u, E: (..., 3)."""
+    return U[..., 1:4] / U[..., :1]
 
 
 def temperature(p: Problem, U: Array) -> Array:

@@ -9,10 +9,12 @@ from types import SimpleNamespace
 import numpy as np
 
 from rvm_mpi.grid.velocity import VelocityGrid
+from rvm_mpi.kinetic import drift_speed
+from rvm_mpi.kinetic.drift import Drift
 from rvm_mpi.reference import Problem, gaussians
 from rvm_mpi.reference.drift import Turning, drift
 from rvm_mpi.reference.transport import face_values
-from rvm_mpi.step.data import lay_out, work_space
+from rvm_mpi.step.data import kernel_grid, lay_out, work_space
 
 #: velocity grids in one, two and three directions: slabs that need padding and slabs that do not, odd and even counts
 SHAPES = [(6,), (7,), (9, 7), (8, 8), (5, 4), (8, 6, 5), (6, 6, 8), (5, 7, 3)]
@@ -97,17 +99,44 @@ def problem(grid, reconstruction="van-leer"):
     return Problem(job, grid.dimensions, list(nodes(grid)), five, h, V, grid.weight, {})
 
 
-def drift_rate(grid, g, turning, gradient, push, reconstruction="van-leer", state=((0, 0, 0), 1.0), loses=None):
-    """-div_xi (a g) of a cell, a = -(turning + gradient . xi) xi + push, closed at the edge of the box.
+#: a cell whose velocities are counted from zero: flow, shears
+STILL = (np.zeros(3), np.zeros((2, 2, 3)))
 
-    gradient: along x and y, each a pair for velocities that go up and down in that direction; state: mean and
-    temperature of the Maxwellian; loses: see `reference.drift`.
+
+def turning_of(rates, state=((0, 0, 0), 1.0), moving=STILL):
+    """The reference's `Turning` of one cell.
+
+    rates: A, the gradients of omega along x and y (up, down each), three pushes; state: mean and temperature of the
+    Maxwellian; moving: flow (3) and shears along x and y (2, 2, 3), zeros where velocities are counted from zero.
     """
+    rates = np.asarray(rates, dtype=float)
+    own, gradient, push = np.full((1, 1), rates[0]), rates[1:5].reshape(2, 2, 1, 1), rates[5:].reshape(1, 1, 3)
     mean, temperature = np.reshape(state[0], (1, 1, 3)), np.full((1, 1), state[1])
-    push = np.reshape(push, (1, 1, 3))
-    rates = Turning(np.full((1, 1), turning), np.reshape(gradient, (2, 2, 1, 1)), push, mean, temperature)
+    turning = Turning(own, gradient, push, mean, temperature)
+    if np.any(moving[0]) or np.any(moving[1]):
+        turning = turning._replace(flow=moving[0].reshape(1, 1, 3), shears=moving[1].reshape(2, 2, 1, 1, 3))
+    return turning
+
+
+def kernel_drift(grid, rates, state=((0, 0, 0), 1.0), moving=STILL):
+    """The kernels' `Drift` of the same; max|a|/h as the stage works it out."""
+    grid = kernel_grid(grid)
+    own, *rises = map(float, rates[:5])
+    push, rises = tuple(map(float, rates[5:])), tuple(rises)
+    flow = tuple(map(float, moving[0][:2]))
+    shears = tuple(tuple(map(float, one)) for one in moving[1].reshape(4, 3))
+    turning = drift_speed.fastest_turning(own, rises, grid.half_width)
+    fastest = tuple(drift_speed.fastest_along(grid, push[q], turning, q) for q in range(3))
+    if np.any(moving[0]) or np.any(moving[1]):
+        fastest = drift_speed.fastest_thermal(grid, own, rises, push, flow, shears)
+    mean, temperature = tuple(map(float, state[0])), float(state[1])
+    return Drift(own, *rises, push, mean, temperature, flow, shears, fastest)
+
+
+def drift_rate(grid, g, turning, reconstruction="van-leer", loses=None):
+    """-div_xi (a g) of a cell, closed at the edge of the box; loses: see `reference.drift`."""
     loses = g if loses is None else loses
-    return drift(problem(grid, reconstruction), g[None, None], rates, loses[None, None])[0, 0]
+    return drift(problem(grid, reconstruction), g[None, None], turning, loses[None, None])[0, 0]
 
 
 def gaussian(grid, density, mean, tensor):
@@ -122,6 +151,6 @@ def corrected(grid, g, target):
     return gaussians.corrected(problem(grid), g, target)
 
 
-def make_work(kernel_grid):
+def make_work(grid):
     """The work space of a stage, for one cell."""
-    return lay_out.py_func(kernel_grid, 1, work_space(kernel_grid, 1))[0]
+    return lay_out.py_func(grid, 1, work_space(grid, 1))[0]

@@ -4,7 +4,20 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy_twins import SHAPES, drift_rate, laid_out, make_grid, make_work, pack, random_g
+from numpy_twins import (
+    SHAPES,
+    STILL,
+    drift_rate,
+    kernel_drift,
+    laid_out,
+    make_grid,
+    make_work,
+    nodes,
+    pack,
+    problem,
+    random_g,
+    turning_of,
+)  # fmt: skip
 
 from rvm_mpi.kinetic import drift
 from rvm_mpi.step.data import kernel_grid
@@ -17,14 +30,14 @@ LARGE = [(3, 270), (4, 18, 16), (4, 20, 15), (3, 25, 24)]
 RECONSTRUCTIONS = list(drift.RECONSTRUCTIONS)
 
 
-def run(grid, g, before, rate, rates, weights, dt, rng, name="van-leer", work=None, state=((0.0, 0.0, 0.0), 1.0)):
-    """The updated block, of the middle one of three cells."""
+def run(grid, g, before, rate, rates, weights, dt, rng, name="van-leer", work=None, turn=None):
+    """The updated block, of the middle one of three cells; `turn` a `Drift` for the rates."""
     kernel = kernel_grid(grid, name)
     flat, at = laid_out(grid, np.stack([random_g(grid, rng), g, random_g(grid, rng)]), rng)
     old, _ = laid_out(grid, np.stack([g, before, g]), rng)
     result = pack(grid, rate)
     work = work or make_work(kernel)
-    turn = drift.Drift(*map(float, rates[:5]), tuple(map(float, rates[5:])), *state)
+    turn = turn or kernel_drift(grid, rates)
     mix = drift.Mix(old, float(weights[0]), float(weights[1]), float(dt))
     drift.apply(flat, at + grid.block, kernel, turn, mix, work.scratch, result)
     return grid.unpack(result)
@@ -47,8 +60,9 @@ def in_use(d):
     z=st.floats(0.0, 5.0),
     mean=st.tuples(*[st.floats(-1.0, 1.0)] * 3),
     temperature=st.floats(0.8, 3.0),
+    moves=st.booleans(),
 )
-def test_update(points, seed, signed, name, rates, dt, second, z, mean, temperature):
+def test_update(points, seed, signed, name, rates, dt, second, z, mean, temperature, moves):
     grid, rng = make_grid(points), np.random.default_rng(seed)
     d = len(points)
     # omega's gradient along y and pushes along directions that are not there do not occur
@@ -56,14 +70,41 @@ def test_update(points, seed, signed, name, rates, dt, second, z, mean, temperat
     g, before, rate = (random_g(grid, rng, signed=signed) for _ in range(3))
     weights = (0.5, 0.5 * (1.0 + z)) if second else (0.0, 1.0)
     state = (tuple(float(u) * (q < d) for q, u in enumerate(mean)), temperature)
-    found = run(grid, g, before, rate, rates, weights, dt, rng, name, state=state)
-    a = rates[0], rates[1:5].reshape(2, 2), rates[5:]
-    total = rate + drift_rate(grid, g, *a, name, state, (g + dt * rate) / max(dt, 1e-300))
+    moving = random_moving(rng, d) if moves and name == "maxwellian" else STILL
+    turn = kernel_drift(grid, rates, state, moving)
+    found = run(grid, g, before, rate, rates, weights, dt, rng, name, turn=turn)
+    total = rate + drift_rate(grid, g, turning_of(rates, state, moving), name, (g + dt * rate) / max(dt, 1e-300))
     wanted = weights[0] * before + weights[1] * (g + dt * total)
-    size = np.abs(g).max() * (1.0 + 100.0 * dt * sum(map(abs, rates))) + dt * np.abs(rate).max() + np.abs(before).max()
+    fastest = 100.0 * (np.abs(rates).sum() + np.abs(moving[1]).sum()) * (1.0 + 0.2 * np.abs(moving[0]).max())
+    size = np.abs(g).max() * (1.0 + dt * fastest) + dt * np.abs(rate).max() + np.abs(before).max()
     # of g over a Gaussian, random over many powers of ten, differences lose digits
     rounding = 1e5 if name == "maxwellian" else 1.0
     np.testing.assert_allclose(found, wanted, rtol=1e-13 * rounding, atol=1e-13 * rounding * size * weights[1])
+
+
+def random_moving(rng, d):
+    """A flow, at rest or far outside the box, and shears, as far as d velocities have them."""
+    flow = rng.choice([0.0, 1.0, 12.0]) * rng.normal(size=3) * (np.arange(3) < min(d, 2))
+    shears = rng.normal(size=(2, 2, 3)) * (np.arange(3) < d)
+    shears[1] *= d > 1
+    return flow, shears
+
+
+@SETTINGS
+@given(points=st.sampled_from(SHAPES), seed=st.integers(0, 2**32 - 1))
+def test_fastest_with_flow_bounds_every_speed(points, seed):
+    """As the reference has it, and no node or face is faster, nor the box's edge."""
+    grid, rng = make_grid(points), np.random.default_rng(seed)
+    d = len(points)
+    rates, moving = rng.normal(size=8) * in_use(d), random_moving(rng, d)
+    moving[0][:1] += 1e-3  # never nothing at all
+    turn, turning = kernel_drift(grid, rates, moving=moving), turning_of(rates, moving=moving)
+    edges = [np.concatenate([x.ravel(), [-v, v]]) for x, v in zip(nodes(grid), grid.half_width)]
+    at = np.meshgrid(*edges, indexing="ij", sparse=True)
+    for q in range(d):
+        assert turn.fastest[q] == pytest.approx(turning.fastest(problem(grid), q)[0, 0], rel=1e-13)
+        assert np.abs(turning.speed(q, at)).max() <= turn.fastest[q] * grid.spacing[q] * (1.0 + 1e-13)
+    assert not any(turn.fastest[d:])
 
 
 @pytest.mark.parametrize("name", RECONSTRUCTIONS)
@@ -97,6 +138,17 @@ def test_positive_up_to_courant_number_one_half(points, name):
         courant = sum((7.0 * turning + abs(rates[5 + q])) / grid.spacing[q] for q in range(len(points)))
         found = run(grid, g, g, 0.0 * g, rates, (0.0, 1.0), 0.5 / courant, rng, name)
         assert found.min() >= -1e-16 * g.max()
+
+
+@pytest.mark.parametrize("points", SHAPES)
+def test_positive_where_the_gas_flows_and_shears(points):
+    grid, rng = make_grid(points), np.random.default_rng(7)
+    for _ in range(20):
+        g, d = random_g(grid, rng) * (rng.random(grid.points) < 0.5), len(points)
+        turn = kernel_drift(grid, rng.uniform(-1, 1, 8) * in_use(d), moving=random_moving(rng, d))
+        found = run(grid, g, g, 0.0 * g, (0.0,) * 8, (0.0, 1.0), 0.5 / sum(turn.fastest), rng, "maxwellian", turn=turn)
+        assert found.min() >= -1e-16 * g.max()
+        assert abs(found.sum() - g.sum()) <= 1e-14 * g.sum()
 
 
 @pytest.mark.parametrize("points", [(8, 6, 5), (4, 20, 15)])
