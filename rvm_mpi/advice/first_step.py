@@ -85,8 +85,16 @@ def _cell_rates(job: Job, start: StartFields) -> tuple[CellRates, np.ndarray, np
     for axis in range(space.dimensions):
         transport += start.omega * velocity.half_width[axis] / space.spacing[axis]
         drift += velocity.half_width[axis] * np.abs(_slope(start.omega, axis, job))
+    if job.scaling.kind == "thermal":
+        for axis in range(space.dimensions):
+            transport += np.abs(start.velocity[..., axis]) / space.spacing[axis]
     across = sum(width / h for width, h in zip(velocity.half_width, velocity.spacing, strict=True))
     drift *= across
+    if job.scaling.kind == "thermal":
+        for axis in range(space.dimensions):
+            for component, h in enumerate(velocity.spacing):
+                shear = np.abs(_slope(start.velocity[..., component], axis, job))
+                drift += velocity.half_width[axis] / h * shear
     growth = _growth(job, start) * across
     drift += growth
     drag, answering = np.zeros(start.omega.shape), np.zeros(start.omega.shape)
@@ -147,7 +155,7 @@ def _growth(job: Job, start: StartFields) -> np.ndarray:
     at once.
     """
     growth = np.zeros(start.omega.shape)
-    if job.scaling.kind != "kinetic":
+    if job.scaling.kind not in ("kinetic", "thermal"):
         return growth
     d = job.velocity.dimensions
     mass = start.density * np.sqrt(start.temperature / (2 * pi))

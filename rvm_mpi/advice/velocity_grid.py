@@ -80,7 +80,8 @@ def check_box(job: Job) -> None:
     """
     start = start_fields(job)
     scale = start.omega[..., None]
-    _check_width(job, "the initial state", start.velocity / scale, start.thermal / scale)
+    mean = np.zeros_like(start.velocity) if job.scaling.kind == "thermal" else start.velocity / scale
+    _check_width(job, "the initial state", mean, start.thermal / scale)
     for j, density, velocity, tensor in initial_rows(job):
         problem = fit.misfit(job, density, velocity, tensor, (0, j))
         if problem:
@@ -107,6 +108,8 @@ def _check_side(job: Job, name: str, velocity: np.ndarray, temperature: float) -
     In gas of another temperature it enters with its own moments all the same (`kinetic/walls.py`).
     """
     d = job.velocity.dimensions
+    if job.scaling.kind == "thermal":
+        velocity = np.zeros(d)  # it is counted from the gas's own
     omega = 1.0 if job.scaling.kind == "none" else sqrt(temperature + float(velocity @ velocity) / d)
     mean, variance = velocity / omega, temperature / omega**2
     _check_width(job, f"the gas from {name}", mean, np.full(d, sqrt(variance)))
@@ -129,7 +132,7 @@ def unresolved_sides(job: Job) -> list[str]:
 
     Without collisions what such a side sends in runs through that gas with the temperature of the nodes, not its own.
     """
-    if job.scaling.kind == "none" or job.velocity.dimensions == 1:
+    if job.scaling.kind in ("none", "thermal") or job.velocity.dimensions == 1:
         return []
     given = {name: side.temperature for name, side in job.space.sides.items() if side.temperature is not None}
     hottest = max([float(start_fields(job).temperature.max()), *given.values()])

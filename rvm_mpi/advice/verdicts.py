@@ -61,7 +61,7 @@ def _rounded_up(value: float) -> float:
 
 def _speeds(job: Job, start: StartFields) -> Iterator[str]:
     """States and walls faster than the rescaled grid carries: T_g = T/(T + |u|^2/d) is left of their temperature."""
-    if job.scaling.kind == "none":
+    if job.scaling.kind in ("none", "thermal"):
         return
     d = job.velocity.dimensions
     least = max(map(fit.holds_anywhere, job.velocity.spacing))

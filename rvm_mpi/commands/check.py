@@ -186,7 +186,9 @@ def _velocity_lines(job: Job) -> Iterator[str]:
     for line in velocity_grid.unresolved_sides(job):
         yield _row("  warning", line)
     mach = velocity_grid.largest_mach(job)
-    if job.scaling.kind != "none" and mach < inf:
+    if job.scaling.kind == "thermal":
+        yield _row("  flows up to", "any Mach number: velocities are counted from the gas's own mean")
+    elif job.scaling.kind != "none" and mach < inf:
         yield _row(
             "  flows up to",
             f"Mach {mach:.3g}: faster ones leave too little of omega^2 to T_g; with every Gaussian exact, up to Mach "

@@ -109,7 +109,8 @@ def _cell(sim: Simulation, cell: tuple[int, int]) -> dict[str, Any]:
     xi = np.array([1.0, *[speed] * 3, *[speed * speed] * 6])
     for name, cells in (("start", kinetic.now), ("stage", kinetic.last.begin), ("result", kinetic.last.new)):
         omega, sums = float(kinetic.inside(cells.omega)[j, i]) / speed, cells.sums[j, i] * units.g * xi
-        found[name] = {"omega": omega, "sums": sums, **_moments(sums, omega, kinetic.grid.dimensions, volume)}
+        frame = omega, kinetic.inside(cells.mean)[j, i]
+        found[name] = {"omega": omega, "sums": sums, **_moments(sums, frame, kinetic.grid.dimensions, volume)}
         if kinetic.model.carried:
             found[name]["carried"] = cells.carried[j, i]
     if sim.fluid is not None:
@@ -117,12 +118,13 @@ def _cell(sim: Simulation, cell: tuple[int, int]) -> dict[str, Any]:
     return found
 
 
-def _moments(sums: np.ndarray, omega: float, d: int, weight: float) -> dict[str, Any]:
+def _moments(sums: np.ndarray, frame: tuple[float, np.ndarray], d: int, weight: float) -> dict[str, Any]:
     """Density, velocity and temperature of f from the sums of g over the nodes."""
+    omega, counted_from = frame
     with np.errstate(all="ignore"):
         mean = sums[1 : 1 + d] / sums[0]
         temperature = omega**2 * ((sums[4] + sums[7] + sums[9]) / sums[0] - np.sum(mean**2)) / d
-    return {"density": weight * sums[0], "velocity": omega * mean, "temperature": temperature}
+    return {"density": weight * sums[0], "velocity": counted_from[:d] + omega * mean, "temperature": temperature}
 
 
 def _velocities(sim: Simulation, cell: tuple[int, int]) -> dict[str, Any]:

@@ -39,6 +39,24 @@ JOBS = {
         "time": {"end": 0.012},
         "output": {"times": [0.005, 0.012]},
     },
+    "thermal": {
+        "space": {
+            "cells": [12, 14],
+            "boundary": {
+                "x": {
+                    "lower": {"kind": "maxwell", "accommodation": 0.5, "velocity": [0.0, 0.4, 0.1]},
+                    "upper": {"kind": "far-field", "density": 0.5, "velocity": [-3.0, 0.0, 0.0], "temperature": 0.2},
+                },
+                "y": {"lower": "specular", "upper": {"kind": "diffuse", "temperature": 1.3}},
+            },
+        },
+        "velocity": {"points": [8, 8, 8], "half_width": 5.0},
+        "scaling": {"kind": "thermal"},
+        "collision": GRANULAR,
+        "initial": RANDOM,
+        "time": {"end": 0.02},
+        "output": {"times": [0.01, 0.02]},
+    },
     "paper": {
         "space": {"cells": [12, 14]},
         "velocity": {"points": [8, 8, 8]},
