@@ -132,8 +132,8 @@ def relative_flux(a: Array, g: Array, axis: Array, mean: Array, T: Array) -> Arr
 
 
 def towards_face(upwind: Array, ahead: Array) -> Array:
-    """The parabola's step from the upwind node to the face, within 2 of the difference behind and 0.9 of that ahead."""
-    most = np.minimum(2.0 * np.abs(upwind), 0.9 * np.abs(ahead))
+    """The parabola's step from the upwind node to the face, within 2 of the difference behind and 1 of that ahead."""
+    most = np.minimum(2.0 * np.abs(upwind), np.abs(ahead))
     step = np.minimum(np.abs(upwind + 3.0 * ahead) / 8.0, most)
     return np.where(upwind * ahead > 0.0, np.sign(ahead) * step, 0.0)
 
@@ -141,10 +141,13 @@ def towards_face(upwind: Array, ahead: Array) -> Array:
 def within(product: Array, most: Array) -> Array:
     """Fluxes whose difference is of fourth order, within what the nodes on both sides may lose.
 
-    That is `most` together: an eighth through each face, three more for either product that goes that way.
+    That is `most` together: an eighth through each face, three more for either product that goes that way. A
+    neighbour's product counts up to 26 times the larger of the two others, where the flux would turn against it.
     """
     before, after = beside(product, 1)[..., :-2], beside(product, 1)[..., 2:]
-    flux = product - (after - 2.0 * product + before) / 24.0
+    far_before, far_after = (26.0 * np.maximum(np.abs(product), np.abs(other)) for other in (after, before))
+    bend = np.clip(before, -far_before, far_before) - 2.0 * product + np.clip(after, -far_after, far_after)
+    flux = product - bend / 24.0
     up = 0.125 + 0.375 * (product > 0.0) + 0.375 * (before > 0.0)
     down = 0.125 + 0.375 * (product < 0.0) + 0.375 * (after < 0.0)
     held = np.maximum(most, 0.0)
