@@ -76,7 +76,7 @@ def _check_choices(job: Job) -> None:
             "scheme.drift", 'not used with scaling.kind = "thermal"', job.scheme.drift, '"maxwellian", the default'
         )
     if kind == "thermal" and not job.scheme.conservative:
-        raise KeyProblem("scheme.conservative", "the thermal scaling needs the correction of the moments", False, "true")
+        raise KeyProblem("scheme.conservative", "the thermal scaling needs the moments' correction", False, "true")
     if kind == "kinetic" and not job.scheme.conservative and job.space.dimensions > 0:
         raise KeyProblem(
             "scheme.conservative",

@@ -45,7 +45,8 @@ SHARE = 0.999
 #: of that, the part that a face has for each of the two faces of the node through which P goes the way it goes there
 TURNED = 0.375
 #: how many times the larger of P on a face and P on its other neighbour a neighbour's P counts at most: from there on
-#: the flux would turn against P, far out where P grows so from face to face, and rounding grow a millionfold in 12 steps
+#: the flux would turn against P, far out where P grows so from face to face, and rounding grow, a millionfold in 12
+#: steps of a disc
 STEEPEST = 26.0
 #: exponents of 1/M stay below this, far inside the range of doubles
 HIGHEST = 600.0

@@ -14,7 +14,7 @@ def guard_of(points_z):  # type: ignore[no-untyped-def]
 
 @part
 def fastest_turning(own, rises, half_width):  # type: ignore[no-untyped-def]
-    """The largest |A + xi . grad omega| in the box; rises: d omega/dx for velocities that go up and down, d omega/dy."""
+    """The largest |A + xi . grad omega| in the box; rises: d omega/dx as what goes up and down sees it, d omega/dy."""
     turning = abs(own) + max(abs(rises[0]), abs(rises[1])) * half_width[0]
     return turning + max(abs(rises[2]), abs(rises[3])) * half_width[1]
 

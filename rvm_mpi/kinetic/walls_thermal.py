@@ -25,6 +25,8 @@ from rvm_mpi.kinetic.walls import (
 
 #: least variance of a side's state in the inner cell's frame, and the largest distance of its mean in thermal speeds
 COLDEST, FARTHEST = 0.3, 2.0
+#: what nodes hold wherever the mean is, over h^2
+HELD = 0.27
 
 
 @part
@@ -36,12 +38,13 @@ def side_frame(side, state, inner, omega, grid, frame):  # type: ignore[no-untyp
     frame[3] = omega
     if not (side.kind == MAXWELL or side.kind == FAR_FIELD):
         return
-    edge = grid.half_width[side.axis] / REACH
-    variance, distance = state[4] / (omega * omega), 0.0
+    variance, distance, least, edge = state[4] / (omega * omega), 0.0, COLDEST, grid.half_width[0] / REACH
     for q in range(grid.dimensions):
         distance += (state[1 + q] - frame[q]) ** 2
+        least = max(least, HELD / grid.per_spacing[q] ** 2)
+        edge = min(edge, grid.half_width[q] / REACH)
     own = side.kind == FAR_FIELD or side.accommodation == 1.0
-    if own and (variance < COLDEST or variance > edge * edge or math.sqrt(distance) > FARTHEST * omega):
+    if own and (variance < least or variance > edge * edge or math.sqrt(distance) > FARTHEST * omega):
         for q in range(3):
             frame[q] = state[1 + q]
         frame[3] = math.sqrt(state[4])

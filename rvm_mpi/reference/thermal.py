@@ -124,7 +124,9 @@ def rest(p: Problem, U: Array, middle: Array, end: Array, dt: float, first: Rate
     ahead, behind = (cooling(p) * a[..., 0] * np.sqrt(temperature(p, a)) * dt for a in (U, middle))
     kept = (1.0 - behind) / (1.0 + ahead)
     whole = change(p, U, end, dt, kept)
-    return Rates(2.0 * whole.alpha - first.alpha, 2.0 * whole.beta - first.beta, whole.L * np.sqrt(kept))
+    # u, which cooling leaves alone, is measured in the thermal speed that there was
+    alpha = change(p, U, end, dt).alpha
+    return Rates(2.0 * alpha - first.alpha, 2.0 * whole.beta - first.beta, whole.L * np.sqrt(kept))
 
 
 def turning(p: Problem, state: State, rates: Rates, gradient: Array) -> Turning:

@@ -139,9 +139,8 @@ class KineticStepper:
         wy, wx = domain.ghosts(GHOSTS)
         nx, ny = domain.local
         per = [1.0 / h if q < domain.dimensions else 0.0 for q, h in enumerate(domain.spacing)]
-        stops = tuple(
-            domain.on_side(name) and not mirrors(job.space.sides[name]) for name in SIDES
-        )
+        low_x, high_x, low_y, high_y = (domain.on_side(name) and not mirrors(job.space.sides[name]) for name in SIDES)
+        stops = (low_x, high_x, low_y, high_y)
         self.space = Space(domain.dimensions, nx, ny, wx, wy, per[0], per[1], stops)
         self._buffer = work_space(self.grid, nx)
         self.work = lay_out.py_func(self.grid, nx, self._buffer)[0]

@@ -208,7 +208,8 @@ def advance(grid, space, model, stage, dt, fields, cell, work):  # type: ignore[
     else:
         share = stage.reach * (1.0 - stage.old)
         taken = share * step_cooling(thermal, density, d, model.cooling, stage.time, dt)
-    report.dissipated, report.cooling_rate = taken, 2.0 * beta * thermal / energy
+    # of f's energy; where velocities are counted from the mean, of what they have
+    report.dissipated, report.cooling_rate = taken, 2.0 * beta * (1.0 if model.thermal else thermal / energy)
     if model.explicit:
         report.dissipated = -stage.reach * (1.0 - stage.old) * dt * fields.heating[j, i]
         report.cooling_rate = abs(fields.heating[j, i]) / energy

@@ -15,8 +15,8 @@ from rvm_mpi.kinetic.drift_speed import fastest_thermal
 from rvm_mpi.kinetic.limiter import face_number
 from rvm_mpi.step.carried import cooled, thermal_energy
 
-#: the most that u may change from a cell's middle to its face, in units of omega: with more a cell can be left with less
-#: energy than its mean motion has
+#: the most that u may change from a cell's middle to its face, in units of omega: with more a cell can be left with
+#: less energy than its mean motion has
 STEEPEST = 0.5
 
 
@@ -154,10 +154,12 @@ def frame_rates(model, d, stage, dt, fields, cell, rate, taken):  # type: ignore
         backwards = last / cooled(last, begin[0], d, model.cooling, -stage.time * dt)
         cold = math.sqrt(forwards * backwards)
     whole = rates_over(dt, start, after, thermal_energy(after) / cold, d)
+    # u, which cooling leaves alone, is measured in the thermal speed that there was
+    cooling = rates_over(dt, start, after, thermal_energy(after), d)
     return (
-        (whole[0] - turned[0]) / share,
-        (whole[1] - turned[1]) / share,
-        (whole[2] - turned[2]) / share,
+        (cooling[0] - turned[0]) / share,
+        (cooling[1] - turned[1]) / share,
+        (cooling[2] - turned[2]) / share,
         (whole[3] - turned[3]) / share,
         whole[4] * math.sqrt(cold),
     )

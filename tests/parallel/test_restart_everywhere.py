@@ -22,7 +22,7 @@ def run(mpirun, ranks, top, what, cases):
 @pytest.mark.parametrize(("dimensions", "ranks", "others"), [(0, 1, [1]), (1, 2, [1, 2, 3]), (2, 2, [1, 2, 3])])
 def test_a_restart_has_the_same_bits(mpirun, tmp_path, dimensions, ranks, others):
     cases = list(EVERYWHERE[dimensions])
-    assert len(cases) == 25
+    assert len(cases) == 30
     for what in ("whole", "half"):
         run(mpirun, ranks, tmp_path, what, cases)
     for other in others:
