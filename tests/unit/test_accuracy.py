@@ -170,7 +170,9 @@ def test_every_drift_is_in_the_table():
     assert set(DRIFT) == set(get_args(Scheme.model_fields["drift"].annotation))
 
 
-@pytest.mark.parametrize(("drift", "points"), [("van-leer", (20, 10)), ("kappa", (12, 16)), ("van-leer", (12, 24))])
+@pytest.mark.parametrize(
+    ("drift", "points"), [("van-leer", (20, 10)), ("maxwellian", (12, 16)), ("van-leer", (12, 24))]
+)
 def test_errors_of_the_directions_add_up(drift, points):
     exact = conductivity(0.01, 48, (16, 16), "none", drift, 1.0, 7.0)
     found = conductivity(0.01, 48, points, "kinetic", drift, 1.0, 7.0) / exact
