@@ -17,7 +17,7 @@ import numpy as np
 #: solid for the kinetic curve, dashes for the fluid's
 STYLES = {"kinetic": "-", "fluid": "--"}
 #: points: width of the last curve, and by how much wider each earlier one is: of equal curves both show
-NARROWEST, WIDER = 1.3, 1.5
+NARROWEST, WIDER = 1.3, 2.0
 
 
 def main(argv=None) -> int:
