@@ -14,7 +14,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 from tests.verification.cooling_state import cool, cooling_state, stationary, van_noije_ernst
 
 RESTITUTIONS = (0.5, 0.7, 0.8, 0.9)
-DRIFTS = ("van-leer", "kappa", "seventh-order")
+DRIFTS = ("van-leer", "maxwellian", "seventh-order")
 
 
 def operator(grids):

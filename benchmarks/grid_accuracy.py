@@ -1,8 +1,9 @@
-"""What viscosity and heat conduction are worth on a velocity grid: the tables of `rvm_mpi/advice/accuracy_tables.json`.
+"""What a velocity grid makes of viscosity, heat conduction and the cooling state: `advice/accuracy_tables.json`.
 
-    python benchmarks/grid_accuracy.py               (prints them; half an hour, most of it for d = 3)
-    python benchmarks/grid_accuracy.py --write       (and writes them into the package)
-    python benchmarks/grid_accuracy.py --exponent 0  (Maxwell molecules, not hard spheres, on a few grids)
+    python benchmarks/grid_accuracy.py                 (prints all tables; an hour, most of it for d = 3)
+    python benchmarks/grid_accuracy.py --write         (and writes them into the package)
+    python benchmarks/grid_accuracy.py --only cooling  (one part: operator, drift or cooling; --write keeps the others)
+    python benchmarks/grid_accuracy.py --exponent 0    (Maxwell molecules, not hard spheres, on a few grids)
 
 The Boltzmann operator by itself, elastic, linear about the sampled Maxwellian M of unit temperature at rest: it acts
 on M (xi_x xi_y + xi_x (|xi|^2 - d - 2)), and the momentum it makes is taken out as the program's correction does. C(t)
@@ -19,7 +20,12 @@ the heat flux are given.
 The drift: conductivity of ES-BGK in rescaled variables (tests/verification/navier_stokes.py) over that in classical
 ones, from a wave on 64 cells, V = 7, with so many velocities along the gradient (d = 1), and across it (d = 2, 32
 along). Errors add up: that of d dimensions is the mean over the directions, along counted three times, across once.
-The viscosity of a shear wave is beside it, over that of the finest grid.
+The viscosity of a shear wave on as many velocities in both directions (d = 2), over that of the finest grid, is the
+third row.
+
+Cooling: the fourth cumulant a_2 less that of Sonine theory (tests/verification/cooling_state.py), of the homogeneous
+cooling state of hard spheres, operator and drift together: whole runs from a Maxwellian, moments held, until T has
+fallen a hundredfold. NaN where a run fails. In d = 1 there is no theory, and the state is no near Maxwellian.
 """
 
 import argparse
@@ -37,6 +43,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 from rvm_mpi.collisions.boltzmann import BoltzmannOperator
 from rvm_mpi.collisions.weights import SUPPORT, kernel_scale
 from rvm_mpi.kinetic_theory import dissipation_coefficient, sphere_area
+from rvm_mpi.step.failure import NumericalFailure
+from tests.verification.cooling_state import cool, cooling_state
 from tests.verification.navier_stokes import conductivity, viscosity
 
 TABLES = Path(__file__).resolve().parent.parent / "rvm_mpi" / "advice" / "accuracy_tables.json"
@@ -51,8 +59,17 @@ EXACT = {(2, 1): (1.0220, 1.0297), (3, 1): (1.016034, 1.025218), (2, 0): (1.0, 1
 RESTITUTION = 0.9  # in d = 1
 END, LASTED, STEPS = 20, 10, 4  # relaxation times, and Runge-Kutta steps in each
 SPACINGS = (8, 9, 10, 11, 12, 14, 16, 18, 20, 24, 28, 32, 40, 48)  # velocities on V = 7
-DRIFTS = ("maxwellian", "van-leer", "kappa", "seventh-order", "seventh-order-positive")
+DRIFTS = ("maxwellian", "van-leer", "seventh-order", "seventh-order-positive")
 RELAXATION, CELLS, ALONG = 0.01, 64, 32
+#: of the cooling states
+COOLING_POINTS = {
+    2: dict.fromkeys(("maxwellian", "van-leer"), (12, 16, 20, 24, 28, 32, 40, 48)),
+    3: {"maxwellian": (12, 16, 20, 24), "van-leer": (12, 16, 20)},
+}
+COOLING_WIDTHS = {2: (5.0, 6.0, 7.0, 8.0, 9.0, 10.0), 3: (5.0, 6.0, 7.0, 8.0)}
+COOLING_RESTITUTIONS = {2: (0.5, 0.7, 0.8, 0.9, 0.95), 3: (0.7, 0.8, 0.9)}
+THEORY_RESTITUTIONS = (0.5, 0.55, 0.6, 0.65, 0.7, 0.75, 0.8, 0.85, 0.9, 0.95, 1.0)
+DECADES, ORDER = 2, 8  # of T, and of the Sonine series
 
 
 class Gas:
@@ -156,7 +173,7 @@ def operator_tables(dimensions, exponent, points=POINTS):
 
 
 def drift_table():
-    """Print and return {drift: (along, across)}: the conductivity over the exact one at `SPACINGS`, and viscosities."""
+    """Print and return {drift: (along, across, viscosity)} over the exact ones at `SPACINGS`."""
     found = {}
     exact = {d: wave(conductivity, (48,) * d, "none", "van-leer") for d in (1, 2)}
     for drift in DRIFTS:
@@ -166,12 +183,41 @@ def drift_table():
             along.append(wave(conductivity, (n,), "kinetic", drift) / exact[1])
             across.append(1 + lost - 4 * (1 - wave(conductivity, (ALONG, n), "kinetic", drift) / exact[2]))
             shear.append(wave(viscosity, (n, n), "kinetic", drift))
-        found[drift] = along, across
-        shear = np.array(shear) / shear[-1]
+        found[drift] = along, across, list(np.array(shear) / shear[-1])
         print(f"\n{drift}: {', '.join(map(str, SPACINGS))} velocities on V = 7")
-        for name, row in (("along", along), ("across", across), ("viscosity", shear)):
+        for name, row in zip(("along", "across", "viscosity"), found[drift], strict=True):
             print(f"  {name:<10}", " ".join(f"{value:8.4f}" for value in row), flush=True)
     return found
+
+
+def cooling_errors(d, points, half_widths, restitution, drift):
+    """a_2 of the cooling state less that of theory, for several half widths."""
+    (exact, *_), factor = cooling_state(d, restitution, ORDER)
+    found = []
+    for width in half_widths:
+        try:
+            found.append(cool(d, restitution, points, width, drift, factor, DECADES)[0] - exact)
+        except NumericalFailure:
+            found.append(np.nan)
+    return found
+
+
+def cooling_tables(dimensions):
+    """Print and return {d: {drift: {points: a row of half widths for each restitution}}}."""
+    tables = {}
+    for d in dimensions:
+        tables[d] = {}
+        for drift, points in COOLING_POINTS[d].items():
+            print(f"\nd = {d}, {drift}: e, a_2 less the exact one for half widths {COOLING_WIDTHS[d]}")
+            tables[d][drift] = {}
+            for n in points:
+                rows, begin = [], time.perf_counter()
+                for e in COOLING_RESTITUTIONS[d]:
+                    rows.append(cooling_errors(d, n, COOLING_WIDTHS[d], e, drift))
+                    print(f"  {n:<4} {e:<5}", " ".join(f"{value:9.5f}" for value in rows[-1]), flush=True)
+                print(f"  {time.perf_counter() - begin:.1f} s", flush=True)
+                tables[d][drift][n] = rows
+    return tables
 
 
 def wave(quantity, points, scaling, drift):
@@ -179,35 +225,67 @@ def wave(quantity, points, scaling, drift):
     return quantity(RELAXATION, CELLS, points, scaling, drift, 1.0, 7.0)
 
 
-def text_of(operator, drift):
-    """The data file that holds the tables: JSON, a row of a table on a line."""
-    tables = {
-        "half_widths": {d: HALF_WIDTHS[d] for d in sorted(operator)},
-        "boltzmann": {d: {n: rounded(rows, ".4g") for n, rows in operator[d].items()} for d in sorted(operator)},
-        "spacings": [float(f"{14 / n:.6g}") for n in SPACINGS],
-        "drift": {name: rounded(rows, ".4f") for name, rows in drift.items()},
+def operator_part(dimensions):
+    """The operator's part of the data file."""
+    tables = operator_tables(dimensions, 1)
+    return {
+        "half_widths": {d: HALF_WIDTHS[d] for d in tables},
+        "boltzmann": {d: {n: rounded(rows, ".4g") for n, rows in table.items()} for d, table in tables.items()},
     }
-    text = json.dumps(tables, indent=2)
+
+
+def drift_part():
+    """The drift's."""
+    return {
+        "spacings": [float(f"{14 / n:.6g}") for n in SPACINGS],
+        "drift": {name: rounded(rows, ".4f") for name, rows in drift_table().items()},
+    }
+
+
+def cooling_part(dimensions):
+    """The cooling states'; null where a run failed."""
+    return {
+        "exact_a2": {
+            d: rounded([(e, cooling_state(d, e, ORDER)[0][0]) for e in THEORY_RESTITUTIONS], ".5f") for d in dimensions
+        },
+        "cooling_half_widths": {d: COOLING_WIDTHS[d] for d in dimensions},
+        "cooling_restitutions": {d: COOLING_RESTITUTIONS[d] for d in dimensions},
+        "cooling": {
+            d: {drift: {n: rounded(rows, ".4f") for n, rows in table.items()} for drift, table in drifts.items()}
+            for d, drifts in cooling_tables(dimensions).items()
+        },
+    }
+
+
+def text_of(tables):
+    """The data file that holds the tables: JSON, a row of a table on a line."""
+    text = json.dumps(tables, indent=2, allow_nan=False)
     return re.sub(r"\[\s*([^][]*?)\s*\]", lambda row: f"[{' '.join(row[1].split())}]", text) + "\n"
 
 
 def rounded(rows, digits):
-    """Rows of numbers to so many digits."""
-    return [[float(f"{value:{digits}}") for value in row] for row in rows]
+    """Rows of numbers to so many digits; None for what is no number."""
+    return [[float(f"{value:{digits}}") + 0.0 if np.isfinite(value) else None for value in row] for row in rows]
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--write", action="store_true", help=f"write the tables into {TABLES.name}")
+    parser.add_argument("--only", choices=("operator", "drift", "cooling"), help="this part alone")
     parser.add_argument("--exponent", type=int, choices=(0, 1), default=1, help="of the kernel [1]; 0: a few grids")
     options = parser.parse_args()
     if options.exponent == 0:
         operator_tables((2, 3), 0, {2: (16, 20, 21, 24, 32), 3: (16, 20, 21, 24)})
         return
-    drift = drift_table()
-    operator = operator_tables((1, 2, 3), 1)
+    tables = json.loads(TABLES.read_text(encoding="utf-8"))
+    if options.only in (None, "drift"):
+        tables |= drift_part()
+    if options.only in (None, "cooling"):
+        tables |= cooling_part((2, 3))
+    if options.only in (None, "operator"):
+        tables |= operator_part((1, 2, 3))
     if options.write:
-        TABLES.write_text(text_of(operator, drift))
+        TABLES.write_text(text_of(tables), encoding="utf-8")
 
 
 if __name__ == "__main__":

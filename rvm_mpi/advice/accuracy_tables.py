@@ -1,4 +1,4 @@
-"""What viscosity and heat conduction are worth on a velocity grid, over the exact ones, at unit temperature.
+"""What viscosity, heat conduction and the cooling state are worth on a velocity grid, at unit temperature.
 
 Read from `accuracy_tables.json`, measured and written by `python benchmarks/grid_accuracy.py --write`, where it says
 what the figures are.
@@ -6,10 +6,17 @@ what the figures are.
 
 import json
 from importlib import resources
+from math import nan
 
 Row = tuple[float, ...]
 
 _READ = json.loads(resources.files("rvm_mpi.advice").joinpath("accuracy_tables.json").read_text(encoding="utf-8"))
+
+
+def _rows(rows: list[list[float | None]]) -> tuple[Row, ...]:
+    """Null, where there is no number, as one that is not."""
+    return tuple(tuple(nan if value is None else value for value in row) for row in rows)
+
 
 HALF_WIDTHS: dict[int, Row] = {int(d): tuple(row) for d, row in _READ["half_widths"].items()}
 """Half widths of the Boltzmann tables by dimensions."""
@@ -21,4 +28,18 @@ BOLTZMANN: dict[int, dict[int, tuple[Row, ...]]] = {
 SPACINGS: Row = tuple(_READ["spacings"])
 """Spacings of the table of the drift."""
 DRIFT: dict[str, tuple[Row, ...]] = {name: tuple(map(tuple, rows)) for name, rows in _READ["drift"].items()}
-"""By reconstruction: conductivity with that spacing along the gradient, and across it."""
+"""By reconstruction: conductivity with that spacing along the gradient and across it, and viscosity."""
+COOLING_HALF_WIDTHS: dict[int, Row] = {int(d): tuple(row) for d, row in _READ["cooling_half_widths"].items()}
+"""Half widths of the table of cooling states by dimensions."""
+COOLING_RESTITUTIONS: dict[int, Row] = {int(d): tuple(row) for d, row in _READ["cooling_restitutions"].items()}
+"""Restitution coefficients of that table, rising."""
+COOLING: dict[int, dict[str, dict[int, tuple[Row, ...]]]] = {
+    int(d): {drift: {int(points): _rows(rows) for points, rows in table.items()} for drift, table in drifts.items()}
+    for d, drifts in _READ["cooling"].items()
+}
+"""By dimensions, reconstruction and points a direction: a_2 less the exact one, a row for each restitution
+coefficient; not a number where the run failed."""
+EXACT_A2: dict[int, tuple[tuple[float, float], ...]] = {
+    int(d): tuple(map(tuple, pairs)) for d, pairs in _READ["exact_a2"].items()
+}
+"""By dimensions: restitution coefficients and a_2 of the cooling state by Sonine theory."""

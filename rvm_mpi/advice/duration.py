@@ -24,7 +24,6 @@ STAGE_PER_TRIAD = ((4608, 3.5), (13824, 3.9), (32768, 4.5))
 STAGE_WITH_DRIFT = {
     "maxwellian": 1.3,
     "van-leer": 1.0,
-    "kappa": 1.55,
     "seventh-order": 1.55,
     "seventh-order-positive": 1.75,
 }

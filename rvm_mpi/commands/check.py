@@ -197,9 +197,9 @@ def _velocity_lines(job: Job) -> Iterator[str]:
 
 
 def _accuracy_lines(job: Job) -> Iterator[str]:
-    from rvm_mpi.advice import accuracy, conduction
+    from rvm_mpi.advice import accuracy, conduction, cooling_state
 
-    for describe in (accuracy.describe, conduction.describe):
+    for describe in (accuracy.describe, conduction.describe, cooling_state.describe):
         yield from (_row(name, text) for name, text in describe(job))
 
 

@@ -277,21 +277,6 @@ def fma(typingctx, a, b, c):  # type: ignore[no-untyped-def]
     return result(*(kind if kind == vector8 else types.float64 for kind in kinds)), codegen
 
 
-# the bits of 1/d to one part in eight are these less the bits of d: exponent and mantissa with the opposite sign
-_INVERSE_BITS = 0x7FDE6238502484BA
-
-
-@intrinsic
-def rough_inverse(typingctx, d):  # type: ignore[no-untyped-def]
-    """1/d to one part in eight, d normal: where Newton's method begins."""
-
-    def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
-        bits = builder.sub(ir.Constant(_INTS, [_INVERSE_BITS] * LANES), builder.bitcast(args[0], _INTS))
-        return builder.bitcast(bits, _VECTOR)
-
-    return vector8(vector8), codegen
-
-
 @intrinsic
 def shifted(typingctx, previous, vector):  # type: ignore[no-untyped-def]
     """The lanes of `vector` moved up by one, the last of `previous` first."""

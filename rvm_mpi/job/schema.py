@@ -11,7 +11,16 @@ import sys
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
-from pydantic import BeforeValidator, Discriminator, Field, PlainValidator, PrivateAttr, Tag, model_validator
+from pydantic import (
+    BeforeValidator,
+    Discriminator,
+    Field,
+    PlainValidator,
+    PrivateAttr,
+    Tag,
+    field_validator,
+    model_validator,
+)
 
 from rvm_mpi.job.section import (
     FOLLOWS,
@@ -281,11 +290,18 @@ class Collision(Section):
 class Scheme(Section):
     """Discretisation."""
 
-    drift: Literal["maxwellian", "van-leer", "kappa", "seventh-order", "seventh-order-positive"] = Field(
+    drift: Literal["maxwellian", "van-leer", "seventh-order", "seventh-order-positive"] = Field(
         default="maxwellian",
-        description='"maxwellian" | "van-leer" | "kappa" | "seventh-order" | "seventh-order-positive"',
+        description='"maxwellian" | "van-leer" | "seventh-order" | "seventh-order-positive"',
     )
     conservative: Switch = Field(default=True, description="true | false")
+
+    @field_validator("drift", mode="before")
+    @classmethod
+    def _name_what_replaces_kappa(cls, value: Any) -> Any:
+        if value == "kappa":  # in jobs of earlier versions
+            raise ValueError('the third order is no more: take "seventh-order", as fast and more accurate')
+        return value
 
 
 class Fluid(Section):

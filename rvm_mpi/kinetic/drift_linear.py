@@ -1,4 +1,4 @@
-"""The drift's fluxes by linear upwind-biased differences of odd order, without a limiter.
+"""The drift's fluxes by linear upwind-biased differences of seventh order, without a limiter.
 
 They take the product a g at the nodes, not a times a reconstructed g: a polynomial's moment with what they give is then
 exact up to their order (but for the upwinding's kink where a changes sign), so that heat flux and fourth cumulant of a
@@ -20,7 +20,7 @@ from rvm_mpi.kinetic.drift_speed import fastest_turning, guard_of
 #: rows of a slab that the work space holds
 ROWS = 5
 #: order of the linear reconstructions by their name in the job file
-ORDERS = {"kappa": 3, "seventh-order": 7, "seventh-order-positive": 7}
+ORDERS = {"seventh-order": 7, "seventh-order-positive": 7}
 #: those whose fluxes are bounded so that g stays positive
 POSITIVE = ("seventh-order-positive",)
 

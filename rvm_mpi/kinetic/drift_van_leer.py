@@ -85,7 +85,9 @@ def update_van_leer(g, cell, grid, drift, mix, scratch, result):  # type: ignore
                 down_y, up_y = c - load(g, base + n - points_z), load(g, base + n + points_z) - c
                 down_z, up_z = c - load(g, base + n - 1), load(g, base + n + 1) - c
                 least_y, least_z = load(slab, Y_LEAST * slab_size + n), load(slab, Z_LEAST * slab_size + n)
-                bend_x, bend_y, bend_z = van_leer3(step, ahead, least_x, down_y, up_y, least_y, down_z, up_z, least_z)
+                bend_x, bend_y, bend_z = van_leer3(
+                    (step, ahead, least_x), (down_y, up_y, least_y), (down_z, up_z, least_z)
+                )
                 store(scratch, slope_next + n, bend_x)
                 store(scratch, slope_y + n, bend_y)
                 store(scratch, slope_z + n, bend_z)

@@ -9,7 +9,7 @@ and 2 u, and so g >= 0 up to a Courant number of one half in all directions toge
 from __future__ import annotations
 
 from rvm_mpi.compiling.declare import part
-from rvm_mpi.compiling.simd import fma, maximum, minimum, rough_inverse, splat, where_above, where_positive
+from rvm_mpi.compiling.simd import fma, maximum, minimum, splat, where_above
 
 #: what a face's value may leave the upwind one by anyway, over the latter: keeps the third order at smooth extrema, and
 #: with none rounding grows where g is steep (a disc on 32 x 32 cells was asymmetric by 1e-5), for Koren's bounds alone
@@ -41,37 +41,15 @@ def face_number(u, a, b, free):  # type: ignore[no-untyped-def]
 
 
 @part
-def van_leer(a, b):  # type: ignore[no-untyped-def]
-    """Half of Van Leer's slope of the differences a, b: a b/(a + b) where they agree in sign, else 0."""
-    product = a * b
-    return where_positive(product, product / (a + b), splat(0.0))
+def van_leer3(along_x, along_y, along_z):  # type: ignore[no-untyped-def]
+    """Half of Van Leer's slopes along three directions, a b/(a + b), for one division; zero where a b <= least.
 
-
-@part
-def van_leer_newton(a, b):  # type: ignore[no-untyped-def]
-    """`van_leer` to two units in the last place without a division, to be worked out beside one.
-
-    A processor divides vectors slowly, but goes on multiplying meanwhile.
+    Each direction is (a, b, least): the differences on both sides, and `grid.velocity.LEAST` or more, below which the
+    product of the three denominators could leave the range of doubles.
     """
-    product, total = a * b, a + b
-    minus = splat(0.0) - total
-    one = splat(1.0)
-    inverse = rough_inverse(total)
-    error = fma(minus, inverse, one)
-    inverse = fma(inverse, fma(error, error, error), inverse)
-    error = fma(minus, inverse, one)
-    inverse = fma(inverse, fma(error, error, error), inverse)
-    inverse = fma(inverse, fma(minus, inverse, one), inverse)
-    return where_positive(product, product * inverse, splat(0.0))
-
-
-@part
-def van_leer3(a1, b1, least1, a2, b2, least2, a3, b3, least3):  # type: ignore[no-untyped-def]
-    """Three slopes of `van_leer` for one division; zero where the product of differences is not above `least`.
-
-    `least` is `grid.velocity.LEAST` or more: below it the product of the three denominators could leave the range of
-    doubles.
-    """
+    a1, b1, least1 = along_x
+    a2, b2, least2 = along_y
+    a3, b3, least3 = along_z
     zero, one = splat(0.0), splat(1.0)
     p1, p2, p3 = a1 * b1, a2 * b2, a3 * b3
     n1, d1 = where_above(p1, least1, p1, zero), where_above(p1, least1, a1 + b1, one)

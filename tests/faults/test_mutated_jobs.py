@@ -75,7 +75,7 @@ NUMBERS = {
 WORDS = {
     "scaling.kind": {"none", "macroscopic", "kinetic"},
     "collision.operator": {"none", "es-bgk", "granular-es-bgk", "boltzmann"},
-    "scheme.drift": {"van-leer", "kappa"},
+    "scheme.drift": {"van-leer", "maxwellian", "seventh-order", "seventh-order-positive"},
 }
 SWITCHES = ("scheme.conservative", "fluid.enabled", "collision.penalise")
 

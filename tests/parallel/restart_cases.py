@@ -50,7 +50,7 @@ CASES = {
     },
     "2d-kinetic": {
         "space": {"cells": [8, 9], "boundary": {"x": "periodic", "y": {"lower": "outflow", "upper": "diffuse"}}},
-        "scheme": {"drift": "kappa"},
+        "scheme": {"drift": "seventh-order"},
         "fluid": FLUID,
         "collision": {"operator": "es-bgk", "knudsen": 0.05},
         "initial": {**WAVE, "mode": [1, 1]},

@@ -9,11 +9,13 @@ import pytest
 import tomli_w
 
 from benchmarks import grid_accuracy
-from rvm_mpi.advice import accuracy, conduction
-from rvm_mpi.advice.accuracy_tables import BOLTZMANN, DRIFT, HALF_WIDTHS
+from rvm_mpi.advice import accuracy, conduction, cooling_state
+from rvm_mpi.advice.accuracy_tables import BOLTZMANN, DRIFT, HALF_WIDTHS, SPACINGS
 from rvm_mpi.commands.main import main
 from rvm_mpi.job.job import Job
 from rvm_mpi.job.schema import Scheme
+from tests.verification.cooling_state import cumulant
+from tests.verification.kinetic_cases import run
 from tests.verification.navier_stokes import conductivity
 
 JOBS = sorted((Path(__file__).parents[2] / "jobs").glob("*.toml"))
@@ -170,7 +172,9 @@ def test_every_drift_is_in_the_table():
     assert set(DRIFT) == set(get_args(Scheme.model_fields["drift"].annotation))
 
 
-@pytest.mark.parametrize(("drift", "points"), [("van-leer", (20, 10)), ("kappa", (12, 16)), ("van-leer", (12, 24))])
+@pytest.mark.parametrize(
+    ("drift", "points"), [("van-leer", (20, 10)), ("maxwellian", (12, 16)), ("van-leer", (12, 24))]
+)
 def test_errors_of_the_directions_add_up(drift, points):
     exact = conductivity(0.01, 48, (16, 16), "none", drift, 1.0, 7.0)
     found = conductivity(0.01, 48, points, "kinetic", drift, 1.0, 7.0) / exact
@@ -195,6 +199,75 @@ def test_discrete_gaussians_in_classical_variables():
     assert abs(worth - 1) > 0.1 and wave == pytest.approx(worth / enthalpy, rel=0.03)
     assert conduction.gaussian_worth(24, 7.0, 1.0, 3) == pytest.approx(1.0, abs=1e-5)
     assert conduction.gaussian_worth(8, 7.0, 0.4, 1) == np.inf
+
+
+def test_a_viscosity_that_is_wrong_is_warned_of_too(monkeypatch):
+    """No grid of the table has one by its drift: with a table that does, the direction that is worst counts."""
+    tables = {"scaling": {"kind": "kinetic"}, "collision": {"operator": "es-bgk", "knudsen": 0.05}}
+    job = Job.from_dict({**WAVE, **tables, "velocity": {"points": [24, 24, 12]}})
+    assert "viscosity 1.000" in dict(conduction.describe(job))["heat conduction"]
+    along, across, shear = DRIFT["maxwellian"]
+    thicker = tuple(1.05 if h > 1.0 else worth for h, worth in zip(SPACINGS, shear, strict=True))
+    monkeypatch.setitem(DRIFT, "maxwellian", (along, across, thicker))
+    found = dict(conduction.describe(job))
+    assert found["heat conduction"].endswith("viscosity 1.050")
+    assert 'scheme.drift = "seventh-order' in found["  warning"]
+
+
+# --- the cooling state
+
+
+def test_a_discrete_gaussian_cools_as_it_is():
+    """The granular ES-BGK model: what the scaling does the drag undoes, no drift touches the nodes' Gaussian."""
+    points, half_width = (8, 10), 7.0
+    collision = {"operator": "granular-es-bgk", "knudsen": 1.0, "restitution": 0.8}
+    velocity = {"points": list(points), "half_width": half_width}
+    tables = {"space": {"cells": []}, "velocity": velocity, "initial": {"state": "uniform"}, "time": {"end": 5.0}}
+    job = Job.from_dict({**WAVE, **tables, "scaling": {"kind": "kinetic"}, "collision": collision})
+    kinetic = run(job).kinetic
+    axes = [(np.arange(n) + 0.5) * 2 * half_width / n - half_width for n in points]
+    square = sum(x**2 for x in np.meshgrid(*axes, indexing="ij"))
+    found = cumulant(kinetic.velocity_grid.unpack(kinetic.state()[0][0, 0]).reshape(points), square, 2)
+    foretold = cooling_state.gaussian_a2(points, (half_width,) * 2)
+    print(f"a_2 = {found:.5f}, foretold {foretold:.5f}")
+    assert found < -0.05 and found == pytest.approx(foretold, rel=1e-6)
+    assert cooling_state.gaussian_a2((24, 24, 24), (7.0,) * 3) == pytest.approx(0.0, abs=1e-6)
+
+
+@pytest.mark.parametrize("drift", ["maxwellian", "van-leer"])
+def test_the_command_gives_the_table_of_cooling_states(drift):
+    found = grid_accuracy.cooling_errors(2, 20, (7.0, 8.0), 0.8, drift)
+    wanted = [cooling_state.a2_error(drift, (20, 20), width, 0.8) for width in (7.0, 8.0)]
+    np.testing.assert_allclose(found, wanted, atol=5e-4)
+
+
+def test_of_cooling_states_off_the_table_nothing_is_promised():
+    error = cooling_state.a2_error
+    assert np.isnan(error("maxwellian", (10, 10), 7.0, 0.8)) and np.isnan(error("maxwellian", (24, 24), 4.0, 0.8))
+    assert error("maxwellian", (30, 28), 7.0, 0.8) == error("maxwellian", (28, 28), 7.0, 0.8)
+    assert error("maxwellian", (64, 64), 20.0, 0.8) == error("maxwellian", (32, 32), 10.0, 0.8)
+    assert error("maxwellian", (24, 24), 7.0, 0.3) == error("maxwellian", (24, 24), 7.0, 0.5)
+    assert abs(error("maxwellian", (24, 24), 7.0, 0.85)) < 0.003  # between 0.8 and 0.9
+
+
+def test_check_says_what_the_cooling_state_is_worth():
+    def text(**tables):
+        cooling = {"operator": "boltzmann", "knudsen": 1.0, "restitution": 0.8}
+        base = {"space": {"cells": []}, "velocity": {"points": [24, 24]}, "scaling": {"kind": "kinetic"}}
+        job = Job.from_dict({**WAVE, **base, "initial": {"state": "uniform"}, "collision": cooling, **tables})
+        return dict(cooling_state.describe(job)).get("cooling state", "")
+
+    assert re.fullmatch(r"fourth cumulant -0\.02[2-8]\d on this velocity grid, exactly -0\.0252", text())
+    assert re.match(r"fourth cumulant -0\.04\d\d on this", text(scheme={"drift": "van-leer"}))
+    assert " if its moments were held, exactly" in text(scheme={"conservative": False})
+    assert "off by more than was ever measured, exactly -0.0252" in text(velocity={"points": [10, 10]})
+    assert text(scheme={"drift": "seventh-order"}) == ""
+    assert text(scaling={"kind": "none"}) == ""
+    assert text(velocity={"points": [24]}) == ""
+    granular = {"operator": "granular-es-bgk", "knudsen": 1.0, "restitution": 0.8}
+    assert text(collision=granular, velocity={"points": [12, 12, 8]}) == (
+        "fourth cumulant -0.0405 on this velocity grid, exactly 0 in this model"
+    )
 
 
 def test_check_says_what_the_drift_conducts_and_the_cure(tmp_path, capsys):

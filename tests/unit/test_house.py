@@ -22,7 +22,7 @@ ROOMS = [
 UPWARD: set[tuple[str, str]] = {("collisions.penalised", "time_limits")}
 CIRCLES: set[tuple[str, ...]] = set()
 LONG: set[str] = set()
-MANY_ARGUMENTS: set[str] = {"kinetic.limiter.van_leer3"}
+MANY_ARGUMENTS: set[str] = set()
 
 
 def modules():

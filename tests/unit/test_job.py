@@ -310,6 +310,7 @@ REFUSED = [
     ({"scheme__conservative": 1}, "scheme.conservative: wrong type", "value 1"),
     ({"collision__penalise": 0}, "collision.penalise: wrong type", "value 0"),
     ({"scheme__drift": "vanleer"}, "scheme.drift: unknown value", 'did you mean "van-leer"?'),
+    ({"scheme__drift": "kappa"}, 'scheme.drift: the third order is no more: take "seventh-order"', 'value "kappa"'),
     ({"time__end": 0}, "time.end: out of range", ""),
     ({"time__end": None}, "time.end: must be given", ""),
     ({"time__cfl": 1.5}, "time.cfl: out of range", ""),

@@ -8,6 +8,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from matplotlib.colors import to_rgb
 from mpi4py import MPI
 
 from rvm_mpi import results
@@ -347,6 +348,23 @@ def test_several_runs_in_one_figure(tmp_path):
     assert profiles.main([str(first), str(second), "--normalised", "--times", "0.5", "2"]) == 0
     assert figures(first) == both("profiles")
     assert not (second / "figures").exists()
+
+
+def test_of_equal_profiles_both_are_seen(tmp_path, monkeypatch):
+    """Every run's colours are in the picture, and the earlier the run the more of them sticks out."""
+    directories = [str(make_run(tmp_path / name, (12,))) for name in "abc"]
+    figures_made = []
+    monkeypatch.setattr(common, "save", lambda figure, *_: figures_made.append(figure))
+    assert profiles.main([*directories, "--times", "1", "--no-fluid"]) == 0
+    (figure,) = figures_made
+    figure.canvas.draw()
+    pixels = np.asarray(figure.canvas.buffer_rgba())[..., :3].reshape(-1, 3)
+    box = figure.axes[0].get_window_extent()
+    shape = figure.canvas.get_width_height()[::-1]
+    panel = pixels.reshape(*shape, 3)[int(shape[0] - box.y1) : int(shape[0] - box.y0), int(box.x0) : int(box.x1)]
+    for number in range(3):
+        wanted = np.round(255 * np.array(to_rgb(f"C{number}")))
+        assert (np.abs(panel - wanted).max(-1) < 40).sum() > 20
 
 
 def test_profiles_with_and_without_the_fluid(tmp_path, monkeypatch):

@@ -229,7 +229,7 @@ GRIDS = {
     "2D/2V": (PLANE, (9, 8)), "2D/3V": (PLANE, (8, 8, 7)),
 }  # fmt: skip
 SMALL = {"0D/2V": (POINT, (8, 7)), "1D/1V": (LINE, (12,)), "2D/2V": (PLANE, (8, 7)), "2D/3V": (PLANE, (7, 7, 6))}
-DRIFTS = ("van-leer", "kappa", "seventh-order", "seventh-order-positive")
+DRIFTS = ("van-leer", "seventh-order", "seventh-order-positive")
 CASES = {}
 # dimensions, operators without weights, scalings, carried moments
 for dimensions, grid in GRIDS.items():
@@ -345,7 +345,7 @@ TERMS = [
     (transport, "face_value", "1D/1V, none, none, measured"),
     (drift, "half_slope", "2D/2V, van-leer with transport"),
     (drift, "half_slope", "2D/2V, van-leer in substeps"),
-    (drift, "linear_flux", "2D/3V, kappa with transport"),
+    (drift, "linear_flux", "2D/3V, seventh-order with transport"),
     (drift, "bounded", "2D/3V, seventh-order-positive in substeps"),
     (sides, "face_value", "2D/3V, maxwell, none"),
     (sides, "maxwellian_entering", "1D/1V, cold and hot walls"),

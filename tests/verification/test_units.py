@@ -65,7 +65,7 @@ SIDES = {
     "outflow": "outflow",
     "vacuum": "vacuum",
 }
-DRIFTS = ("van-leer", "kappa", "seventh-order", "seventh-order-positive")
+DRIFTS = ("van-leer", "maxwellian", "seventh-order", "seventh-order-positive")
 STATES = {
     "random": {"state": "random-density", "low": 0.3, "seed": 3},
     "smooth": {"state": "random-density", "low": 0.3, "seed": 3, "correlation_length": 0.2, "temperature": 1.3},
