@@ -10,7 +10,6 @@ from rvm_mpi.reference.state import Array, Problem, half_slope, nodewise
 
 #: linear fluxes through a face, of order 3 and 7: weights of the nodes around it
 CENTRAL = {
-    "kappa": np.array([-1, 7, 7, -1]) / 12,
     "seventh-order": np.array([-3, 29, -139, 533, 533, -139, 29, -3]) / 840,
     "seventh-order-positive": np.array([-3, 29, -139, 533, 533, -139, 29, -3]) / 840,
 }
