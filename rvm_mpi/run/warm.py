@@ -28,6 +28,12 @@ JOBS: dict[str, tuple[dict[str, Any], ...]] = {
             "fluid": {"enabled": True},
             "output": {"marginals": True},
         },
+        {
+            "space": {"cells": [4], "boundary": {"x": "far-field"}},
+            "velocity": {"points": [8, 8]},
+            "scaling": {"kind": "thermal"},
+            "collision": _GAS,
+        },
     ),
     "the fluid system": (
         {
